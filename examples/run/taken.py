@@ -27,8 +27,8 @@ TAKEN = """
 errors se3 options
 hands/configuration hands/pad
 human/findings human/recording human/sample
-models/__init__ models/encoding models/hand models/limits models/method models/person
-models/robot
+models/__init__ models/encoding models/hand models/ik models/limits models/method
+models/person models/robot models/shapes
 ik/core ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper

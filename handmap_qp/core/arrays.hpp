@@ -1,9 +1,74 @@
-// Numbers of the core as arrays of Python, which own them.
+// Numbers of Python in, and numbers of the core out as arrays that Python owns.
 #pragma once
 
-#include "build.hpp"
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+#include <stdexcept>
+
+#include "busy.hpp"
+#include "step.hpp"
+
+namespace nb = nanobind;
 
 namespace handmap {
+
+using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+
+template <class Model>
+Model model_of(const nb::bytes& bytes) {
+  return decode<Model>({bytes.c_str(), bytes.size()});
+}
+
+template <class Model>
+std::optional<Model> optional_model(const std::optional<nb::bytes>& bytes) {
+  return bytes ? std::optional<Model>(model_of<Model>(*bytes)) : std::nullopt;
+}
+
+inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.size()); }
+
+inline void expect_size(const Array& a, size_t size, const char* name) {
+  if (a.size() != size) throw std::invalid_argument(std::string("wrong size of ") + name);
+}
+
+// Reject what other sizes or indices would lead out of: Python may build an object of parts of others.
+inline void expect(bool is_right, const char* problem) {
+  if (!is_right) throw std::invalid_argument(problem);
+}
+inline void expect_indices(const std::vector<int>& indices, size_t count, const char* name) {
+  for (const int i : indices)
+    if (i < 0 || static_cast<size_t>(i) >= count)
+      throw std::invalid_argument(std::string("wrong index in ") + name);
+}
+
+inline std::vector<Vec3> points_of(const Array& a) {
+  std::vector<Vec3> points(a.size() / 3);
+  for (size_t k = 0; k < points.size(); ++k)
+    points[k] = {a.data()[3 * k], a.data()[3 * k + 1], a.data()[3 * k + 2]};
+  return points;
+}
+
+inline std::vector<Attached> attached_of(const Indices& joints, const Array& offsets) {
+  expect_size(offsets, 3 * joints.size(), "offsets");
+  const std::vector<Vec3> at = points_of(offsets);
+  std::vector<Attached> points(joints.size());
+  // Pinocchio counts the world as joint 0.
+  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k] - 1, at[k]};
+  return points;
+}
+
+// The element of a sequence of Python.
+inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
+
+inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
+  for (const Attached& point : points)
+    expect(tree.has_joint(point.joint), "points of another hand");
+}
 
 using NumpyArray = nb::object;
 

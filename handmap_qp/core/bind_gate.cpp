@@ -3,6 +3,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
+#include "ik_models.hpp"
 #include "mapper.hpp"
 
 using namespace nb::literals;
@@ -10,10 +11,12 @@ using namespace nb::literals;
 namespace handmap {
 namespace {
 
-// Of the tree of a hand, `BoxLimits`, and a `CollisionLimit` or None.
-void make_gate(Gate* self, const Tree& tree, const nb::bytes& limits, const nb::object& collisions) {
+void make_gate(Gate* self, const Tree& tree, const nb::bytes& limits,
+               std::shared_ptr<const PairBounds> pairs,
+               const std::optional<nb::bytes>& collisions) {
   Gate& gate = *new (self) Gate(tree);
-  set_gate(gate, limits, collisions);
+  set_gate(gate, model_of<BoxLimits>(limits), std::move(pairs),
+           optional_model<CollisionModel>(collisions));
 }
 
 // What a `Motion` of Python is made of.
@@ -110,7 +113,7 @@ class PosedRows {
     gate_.was_moved();
     Vector other;
     const auto find = [&]() -> const Vector& {
-      gate_.pairs->add_met(start(), false, rows_);
+      gate_.add_rows_on_line(rows_);
       other = vector_of(nb::cast<Array>(around(loosened(lower_, upper_, Vector(lower_.size(), 0.0)))));
       expect(other.size() == lower_.size(), "wrong size of another displacement");
       return other;
@@ -138,18 +141,11 @@ class PosedRows {
   void expect_same_command() const {
     expect(gate_.motion.stamp == stamp_, "rows of another command");
   }
-  const Placed& start() {
-    start_.emplace(gate_.tree);
-    start_->place(gate_.motion.q.data());
-    return *start_;
-  }
   nb::tuple loosened(const Vector& lower, const Vector& upper, const Vector& so_far) {
-    const double stopping = gate_.limits.stopping(gate_.motion, interval_.dt);
-    Feasible().loosen(rows_, lower, upper, stopping, so_far, h_);
+    gate_.loosen(rows_, interval_, lower, upper, so_far, h_);
     const size_t count = static_cast<size_t>(rows_.count), size = lower.size();
     return nb::make_tuple(array_of({count, size}, rows_.G.data()), array_of(h_));
   }
-  std::optional<Placed> start_;
 };
 
 NumpyArray brake(Gate& gate, const nb::object& when) {
@@ -180,7 +176,8 @@ void bind_gate(nb::module_& m) {
   m.def("loosened", &loosened, "G"_a, "h"_a, "lower"_a, "upper"_a, "stopping"_a, "so_far"_a);
   m.def("braking_displacement", &BoxLimits::braking_displacement, "distance"_a, "change"_a);
   nb::class_<Gate>(m, "Gate")
-      .def("__init__", &make_gate, "tree"_a, "limits"_a, "collisions"_a.none())
+      .def("__init__", &make_gate, "tree"_a, "limits"_a,
+           "pairs"_a.none() = nb::none(), "collisions"_a.none() = nb::none())
       .def_ro("held_by", &Gate::held_by)
       .def_prop_ro("stamp", [](const Gate& gate) { return gate.motion.stamp; })
       .def_prop_ro("commands", [](const Gate& gate) { return gate.motion.commands; })

@@ -1,6 +1,8 @@
 // Hands as Python sees them: kinematics of points, the nearest posture, pairs of shapes.
 #include "bind.hpp"
 #include "arrays.hpp"
+#include "hand_model.hpp"
+#include "ik_models.hpp"
 #include "posture.hpp"
 
 namespace handmap {
@@ -13,7 +15,7 @@ namespace {
 // hand_pair.RobotFingers.pinches. Pads are points on joints, at given distances where they touch.
 // `usual` moves the same hand before it was scaled to this tree: its limits and weights hold here too,
 // but those of reference points.
-NumpyArray pinching_postures(const Tree& tree, const PythonIk& usual, const Indices& joints,
+NumpyArray pinching_postures(const Tree& tree, const Ik& usual, const Indices& joints,
                              const Array& offsets, const Array& distances, double weight, double dt,
                              int samples, double tolerance) {
   DistanceTask task{attached_of(joints, offsets), {}, {}};
@@ -125,8 +127,7 @@ NumpyArray smallest_distances(const Tree& tree, const PairBounds& bounds,
     const int end = g + 1 < columns ? starts[g + 1] : static_cast<int>(bounds.pairs.size());
     if (starts[g] < 0 || starts[g] > end) throw std::invalid_argument("starts must increase");
   }
-  for (const Body& body : bounds.bodies)
-    if (!tree.has_joint(body.joint)) throw std::invalid_argument("shapes of another hand");
+  bounds.expect_hand(tree);
   const size_t rows = q.size() / n;
   Vector found;
   Placed placed(tree);
@@ -167,7 +168,12 @@ void bind_hands(nb::module_& m) {
       .def("pinching_postures", &pinching_postures, "usual"_a, "joints"_a, "offsets"_a,
            "distances"_a, "weight"_a, "dt"_a, "samples"_a, "tolerance"_a)
       .def("smallest_distances", &smallest_distances, "pairs"_a, "q"_a, "starts"_a, "most"_a);
-  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds, "bounds"_a);
+  nb::class_<PairBounds>(m, "PairBounds")
+      .def("__init__",
+           [](PairBounds* self, const nb::bytes& pairs) {
+             new (self) PairBounds(bounds_of(model_of<PairsModel>(pairs)));
+           },
+           "pairs"_a);
 }
 
 }  // namespace handmap

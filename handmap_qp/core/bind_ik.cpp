@@ -1,11 +1,14 @@
 // Motion of a robot for a goal, sample by sample or many samples at once.
+#include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/variant.h>
 #include <optional>
 #include <variant>
 
 #include "bind.hpp"
+#include "ik_models.hpp"
 #include "mapper.hpp"
 
 using namespace nb::literals;
@@ -13,24 +16,23 @@ using namespace nb::literals;
 namespace handmap {
 namespace {
 
-// What makes the rows of tasks that are written in Python, at a configuration.
-std::function<void(const Vector&, TaskRows&)> rows_of(PythonIk& ik, const nb::list& tasks) {
-  if (tasks.size() == 0) return {};
-  if (!ik.placed.is_valid()) ik.placed = ik.hand.attr("configuration")();
-  return [&ik, &tasks](const Vector& q, TaskRows& rows) {
+// Rows of tasks that are written in Python, in a configuration: residual, Jacobian and damping of each.
+using TaskCallback =
+    std::function<std::vector<std::tuple<nb::object, nb::object, nb::object>>(NumpyArray)>;
+
+std::function<void(const Vector&, TaskRows&)> rows_of(const Ik& ik, const TaskCallback& linearise) {
+  return [&](const Vector& q, TaskRows& rows) {
     static const nb::object& plain = numpy_attribute("ascontiguousarray");
-    const auto numbers = [](const nb::handle& of) {
+    const auto numbers = [](const nb::object& of) {
       return vector_of(nb::cast<Array>(plain(of, "float64")));
     };
-    const size_t size = ik.tree.size;
-    ik.placed.attr("place")(array_of(q));
+    const size_t size = static_cast<size_t>(ik.tree.size);
     rows.residual.clear();
     rows.jacobian.clear();
     rows.damping.assign(size, 0.0);
-    for (const nb::handle& task : tasks) {
-      const nb::object found = task.attr("linearise")(ik.placed);
-      const Vector residual = numbers(item(found, 0)), jacobian = numbers(item(found, 1)),
-                   damping = numbers(item(found, 2));
+    for (const auto& task : linearise(array_of(q))) {
+      const Vector residual = numbers(std::get<0>(task)), jacobian = numbers(std::get<1>(task)),
+                   damping = numbers(std::get<2>(task));
       if (jacobian.size() != residual.size() * size ||
           (damping.size() != size && damping.size() != 1))
         throw std::invalid_argument("wrong sizes of a task's rows");
@@ -67,59 +69,74 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   return vector_of(*margins);
 }
 
-// Move the hand for a `Goal` of Python.
-Step solve(PythonIk& ik, const nb::object& wanted) {
-  const Fields given(wanted);
+// A task with its aims and weights.
+using DistancesGiven = std::tuple<const DistanceTask*, Array, Array>;
+// Joint and place of a point, and of the one that is kept at an offset from it; the offset, its weight.
+using OffsetGiven = std::tuple<Indices, Array, Array, double>;
+
+AimedDistances aimed_of(const Ik& ik, const DistancesGiven& given) {
+  const auto& [task, aims, weights] = given;
+  expect(task != nullptr, "no task");
+  expect_size(aims, task->first.size(), "distances");
+  expect_size(weights, task->first.size(), "weights of distances");
+  expect_joints(ik.tree, task->points);
+  return {task, vector_of(aims), vector_of(weights)};
+}
+
+OffsetTask offset_of(const Ik& ik, const OffsetGiven& given) {
+  const auto& [joints, offsets, aim, weight] = given;
+  expect(joints.size() == 2, "an offset has two points");
+  expect_size(aim, 3, "aim");
+  const std::vector<Attached> ends = attached_of(joints, offsets);
+  expect_joints(ik.tree, ends);
+  return {ends[0], ends[1], points_of(aim)[0], weight / kLengthUnit};
+}
+
+// Move the hand; see ik.tasks.Goal.
+Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, const Postures& postures,
+           const nb::object& when, const std::optional<Array>& margins, double speed,
+           const std::optional<Array>& damping_shares, const std::vector<DistancesGiven>& distances,
+           const std::vector<OffsetGiven>& offsets, const std::optional<TaskCallback>& rows) {
+  expect_size(points, 3 * ik.tree.points.size(), "points");
   Goal goal;
-  goal.points = points_of(given.array("points", 3 * ik.tree.points.size()));
-  if (const auto wrists = given.get<std::optional<Array>>("wrists")) {
+  goal.points = points_of(points);
+  if (wrists) {
     expect_size(*wrists, 16 * ik.tree.parts.size(), "wrists");
     for (size_t i = 0; i < ik.tree.parts.size(); ++i)
       goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
-  goal.postures = postures_of(ik, given.get<Postures>("postures"));
-  if (const auto shares = given.get<std::optional<Array>>("damping_shares")) {
-    expect_size(*shares, ik.tree.joint_columns.size(), "damping_shares");
-    goal.damping_shares = vector_of(*shares);
+  goal.postures = postures_of(ik, postures);
+  if (damping_shares) {
+    expect_size(*damping_shares, ik.tree.joint_columns.size(), "damping_shares");
+    goal.damping_shares = vector_of(*damping_shares);
   }
-  static const nb::object& PointOffset =
-      *new nb::object(module_of("ik.tasks").object("PointOffset"));
-  nb::list others;
-  for (const nb::handle& each : given.object("tasks")) {
-    const Fields task(nb::borrow(each));
-    const DistanceTask* own = nullptr;
-    if (nb::try_cast(nb::getattr(each, "core", nb::none()), own, false) && own) {
-      goal.distances.push_back({own, task.numbers("distances"), task.numbers("weights")});
-      const AimedDistances& aimed = goal.distances.back();
-      expect(aimed.aims.size() == own->first.size() && aimed.weights.size() == own->first.size(),
-             "wrong size of distances or weights");
-      expect_joints(ik.tree, own->points);
-    } else if (nb::isinstance(each, PointOffset)) {
-      goal.offsets.push_back(offset_of(task));
-      expect_joints(ik.tree, {goal.offsets.back().from, goal.offsets.back().to});
-    } else {
-      others.append(each);
-    }
-  }
-  goal.further = rows_of(ik, others);
+  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik, each));
+  for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik, each));
+  if (rows) goal.further = rows_of(ik, *rows);
   expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
   Step step;
-  seek(ik, goal, when_from(given.object("dt")),
-       margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
-       step.result);
+  seek(ik, goal, when_from(when), margins_of(ik, margins), speed, step.result);
   finish(ik, step);
   return step;
 }
 
+void make_ik(Ik* self, const Tree& tree, const nb::bytes& options, const nb::bytes& limits,
+             std::shared_ptr<const PairBounds> pairs, const std::optional<nb::bytes>& collisions) {
+  Ik& ik = *new (self) Ik(tree);
+  set_options(ik, model_of<IkModel>(options));
+  set_gate(ik, model_of<BoxLimits>(limits), std::move(pairs),
+           optional_model<CollisionModel>(collisions));
+}
+
 // Take the stop that was admitted last, for one sample.
-Step hold_still(PythonIk& ik, const nb::object& when) {
+Step hold_still(Ik& ik, const nb::object& when) {
   Step step;
   hold(ik, when_from(when), step);
   return step;
 }
 
 // The detour of each hand, to go on with.
-nb::list detours_of(PythonIk& ik) {
+nb::list detours_of(Ik& ik) {
   nb::list found;
   for (size_t i = 0; i < ik.detours.size(); ++i) {
     const Detour& detour = ik.detours[i];
@@ -135,7 +152,7 @@ nb::list detours_of(PythonIk& ik) {
 }
 
 // Continue the motion on detours, as the hands do that these are copies of.
-void go_on(PythonIk& ik, const nb::object& given) {
+void go_on(Ik& ik, const nb::object& given) {
   std::vector<Detour> detours(ik.detours.size());
   for (size_t i = 0; i < detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
@@ -158,7 +175,7 @@ void go_on(PythonIk& ik, const nb::object& given) {
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
 // Returns for each sample its configuration, displacement, stop times and status, one after the other.
-NumpyArray solve_many(PythonIk& ik, const Array& points,
+NumpyArray solve_many(Ik& ik, const Array& points,
                                           const std::optional<Array>& wrists, const Array& dt,
                                           const Array& speed, const std::optional<Array>& margins,
                                           const Postures& postures) {
@@ -191,15 +208,23 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
 }  // namespace
 
 void bind_ik(nb::module_& m) {
-  nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances, "task"_a);
-  nb::class_<PythonIk, Gate>(m, "Ik")
-      .def("__init__", &make_ik, "tree"_a, "hand"_a, "options"_a, "limits"_a,
-           "collisions"_a.none(), "links"_a)
-      .def_ro("costs", &PythonIk::costs)
+  nb::class_<DistanceTask>(m, "PointDistances")
+      .def("__init__",
+           [](DistanceTask* self, const nb::bytes& distances) {
+             new (self) DistanceTask(task_of(model_of<DistancesModel>(distances)));
+           },
+           "distances"_a);
+  nb::class_<Ik, Gate>(m, "Ik")
+      .def("__init__", &make_ik, "tree"_a, "options"_a, "limits"_a, "pairs"_a.none() = nb::none(),
+           "collisions"_a.none() = nb::none())
+      .def_ro("costs", &Ik::costs)
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
       .def("hold", exclusively(&hold_still), "when"_a)
-      .def("solve", exclusively(&solve), "goal"_a)
+      .def("solve", exclusively(&solve), "points"_a, "wrists"_a.none(), "postures"_a, "when"_a,
+           "margins"_a.none() = nb::none(), "speed"_a = 1.0, "damping_shares"_a.none() = nb::none(),
+           "distances"_a = std::vector<DistancesGiven>(), "offsets"_a = std::vector<OffsetGiven>(),
+           "rows"_a.none() = nb::none())
       .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
 }

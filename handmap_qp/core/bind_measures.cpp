@@ -6,6 +6,7 @@
 #include "arrays.hpp"
 #include "build_guard.hpp"
 #include "episode.hpp"
+#include "pair_models.hpp"
 #include "person.hpp"
 
 using namespace nb::literals;
@@ -28,13 +29,13 @@ nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Arr
   return nb::make_tuple(found, array_of(qp.x), qp.iterations);
 }
 
-// Of two shapes of coal in two poses: distance, normal, and the first one's nearest point.
-nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::object& b,
+// Of two shapes in two poses: distance, normal, and the first one's nearest point.
+nb::tuple measure_shapes(const nb::bytes& a, const Array& pose_a, const nb::bytes& b,
                          const Array& pose_b) {
   expect_size(pose_a, 16, "pose_a");
   expect_size(pose_b, 16, "pose_b");
   Warm warm{};
-  const Found found = measure(make_shape(Fields(a)), pose_of(pose_a.data()), make_shape(Fields(b)),
+  const Found found = measure(shape_of(model_of<ShapeModel>(a)), pose_of(pose_a.data()), shape_of(model_of<ShapeModel>(b)),
                               pose_of(pose_b.data()), warm);
   return nb::make_tuple(found.distance,
                         nb::make_tuple(found.normal.x, found.normal.y, found.normal.z),

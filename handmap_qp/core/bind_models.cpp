@@ -3,6 +3,7 @@
 
 #include "bind.hpp"
 #include "hand_model.hpp"
+#include "ik_models.hpp"
 #include "limits.hpp"
 #include "method_models.hpp"
 #include "person_models.hpp"
@@ -29,6 +30,12 @@ nb::dict model_fields() {
   add<PlaceModel>(models);
   add<HandModel>(models);
   add<BoxLimits>(models);
+  add<ShapeModel>(models);
+  add<BodyModel>(models);
+  add<PairsModel>(models);
+  add<ContactYield>(models);
+  add<CollisionModel>(models);
+  add<IkModel>(models);
   add<EstimatorModel>(models);
   add<PalmModel>(models);
   add<DistancesModel>(models);

@@ -31,7 +31,7 @@ std::pair<nb::object, std::vector<nb::object>> move(RobotMover& mover, const Rob
 void bind_robot(nb::module_& m) {
   nb::class_<RobotMover>(m, "RobotMover")
       .def("__init__",
-           [](RobotMover* self, std::shared_ptr<PythonIk> ik, const nb::bytes& model,
+           [](RobotMover* self, std::shared_ptr<Ik> ik, const nb::bytes& model,
               StepViews views) {
              new (self) RobotMover(std::move(ik), model_of<RobotModel>(model), std::move(views));
            },

@@ -69,12 +69,12 @@ void bind_samples(nb::module_& m) {
            "landmarks"_a, "wrist"_a.none(), "valid"_a, "confidence"_a, "when"_a.none(),
            "arrival"_a.none(), "origin"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
-      .def(nb::init<std::shared_ptr<PythonIk>, std::shared_ptr<const TargetMap>, StepViews>(),
+      .def(nb::init<std::shared_ptr<Ik>, std::shared_ptr<const TargetMap>, StepViews>(),
            "ik"_a, "target_map"_a, "views"_a)
       .def("run", &SampleMapper::run, "guard"_a, "smoother"_a, "reader"_a, "origin"_a, "samples"_a,
            "first"_a, "last"_a, "rows"_a.noconvert());
   nb::class_<Asker, SampleReader>(m, "Asker")
-      .def(nb::init<const PythonIk&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
+      .def(nb::init<const Ik&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
            "ik"_a, "target_map"_a, "views"_a, "source"_a);
   nb::class_<Ask>(m, "Ask")
       .def_ro("pose", &Ask::pose)

@@ -190,7 +190,19 @@ class Gate : public Exclusive {
             const Vector& so_far, Rows& rows, Vector& h) {
     start.place(motion.q.data());
     pairs->rows(start, interval.dt, margins, motion.displacement, rows);
+    loosen(rows, interval, lower, upper, so_far, h);
+  }
+
+  // Loosen rows of the next displacement again: more of them, or behind another part of it.
+  void loosen(const Rows& rows, const Interval& interval, const Vector& lower, const Vector& upper,
+              const Vector& so_far, Vector& h) {
     feasible_.loosen(rows, lower, upper, limits.stopping(motion, interval.dt), so_far, h);
+  }
+
+  // Add rows of what met on the line of the displacement that was looked at last.
+  void add_rows_on_line(Rows& rows) {
+    start.place(motion.q.data());
+    pairs->add_met(start, false, rows);
   }
 
   // Add rows of the points that the end of a displacement brings nearer, and within their margin. A row

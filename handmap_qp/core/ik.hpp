@@ -141,8 +141,7 @@ class Ik : public Gate {
         least_[i] = lower_[i] - total_[i];
         most_[i] = upper_[i] - total_[i];
       }
-      if (has_rows)
-        feasible_.loosen(linear_, least_, most_, limits.stopping(motion, dt), total_, h_);
+      if (has_rows) loosen(linear_, interval, least_, most_, total_, h_);
       double length2;
       cost(goal);
       has_failed = !minimise(has_rows ? linear_.count : 0, length2);
@@ -157,12 +156,11 @@ class Ik : public Gate {
     }
     // Later iterations leave the cost of another posture.
     bool has_first_cost = iterations == 1;
-    // Solve from the start again, and keep apart the points that met.
-    const auto around = [&](bool by_margins) {
+    // Solve from the start again, with rows of the points that met.
+    const auto solve_again = [&] {
       double length2;
-      pairs->add_met(start, by_margins, linear_);
       total_.assign(n, 0.0);
-      feasible_.loosen(linear_, lower_, upper_, limits.stopping(motion, dt), total_, h_);
+      loosen(linear_, interval, lower_, upper_, total_, h_);
       least_ = lower_;
       most_ = upper_;
       if (!has_first_cost) {
@@ -177,15 +175,14 @@ class Ik : public Gate {
     };
     // See qp.PointIk._solve_here.
     for (int look = 0; has_rows && look < kLooks; ++look) {
-      path_.resize(tree.nv);
-      tree.expand(total_.data(), path_.data());
-      if (!pairs->meets_at(start, path_.data(), at)) break;
-      around(true);
+      if (!add_rows_at_end(total_, linear_)) break;
+      solve_again();
       first_ = total_;
       at.displace(motion.q.data(), total_.data());
     }
     const auto go_around = [&]() -> const Vector& {
-      around(false);
+      add_rows_on_line(linear_);
+      solve_again();
       return total_;
     };
     admit(total_, first_, interval, go_around, kTries);
@@ -530,8 +527,7 @@ class Ik : public Gate {
   std::vector<int> columns_, movers_;
   std::vector<signed char> guess_;
   std::vector<Vec3> levers_, turns_, targets_;
-  Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
-      path_;
+  Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_;
 };
 
 }  // namespace handmap

@@ -261,7 +261,7 @@ class SampleReader {
 // What a `HandMapper` does with the samples after its reference.
 class SampleMapper : public SampleReader {
  public:
-  SampleMapper(std::shared_ptr<PythonIk> ik, std::shared_ptr<const TargetMap> map, StepViews views)
+  SampleMapper(std::shared_ptr<Ik> ik, std::shared_ptr<const TargetMap> map, StepViews views)
       : SampleReader(map), ik_(std::move(ik)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik_->tree.joint_columns})) {

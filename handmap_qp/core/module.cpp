@@ -1,6 +1,6 @@
 // The module of Python: flat arrays in, one call a sample.
 #include "bind.hpp"
-#include "build.hpp"
+#include "arrays.hpp"
 
 using namespace nb::literals;
 
@@ -24,7 +24,6 @@ void raise_if_busy(const nb::type_object& error) {
 
 NB_MODULE(_core, m) {
   using namespace handmap;
-  package() = nb::cast<std::string>(m.attr("__name__").attr("rpartition")(".")[0]);
   m.attr("SOURCES") = HANDMAP_SOURCES;
   // Caches of Python modules may outlive this one when the interpreter ends.
   nb::set_leak_warnings(false);

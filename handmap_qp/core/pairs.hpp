@@ -48,10 +48,18 @@ struct Pair {
 // Pairs nearer than this may touch each other's links: hands.contact_yield.NEAR [m].
 constexpr double kYieldNear = 1e-3;
 
-// How far pairs may overlap in commands: see handmap_qp/hands/contact_yield.py.
+// How far pairs may overlap in commands: see handmap_qp/hands/contact_yield.py. A model.
 struct ContactYield {
+  static constexpr const char* kName = "YieldModel";
   Vector forces, depths;         // of each pair, as they came
   Vector compliances, torques;  // of each active coordinate
+  template <class Visitor>
+  void fields(Visitor& visit) {
+    visit("forces", forces);
+    visit("depths", depths);
+    visit("compliances", compliances);
+    visit("torques", torques);
+  }
   bool is_empty() const { return forces.empty(); }
 };
 
@@ -80,6 +88,16 @@ struct PairBounds {
 
   std::pair<int, int> joints(size_t k) const {
     return {bodies[pairs[k].first].joint, bodies[pairs[k].second].joint};
+  }
+
+  // Reject a hand that these are not the pairs of.
+  void expect_hand(const Tree& tree) const {
+    for (const Body& body : bodies)
+      expect_that(tree.has_joint(body.joint), "PairsModel.bodies: joint", "a joint of the hand");
+    for (const Pair& pair : pairs)
+      for (const Sparse* each : {&pair.levers, &pair.turns, &pair.signs})
+        expect_below("PairsModel: columns of levers, turns and signs", each->columns,
+                     static_cast<size_t>(tree.nv));
   }
 
   void finish() {
@@ -272,8 +290,7 @@ class Pairs {
     return static_cast<int>(place(std::min_element(met_.begin(), met_.end(), is_nearer)->pair));
   }
 
-  // How many rows there were last, and the pair of one, as it came.
-  size_t row_count() const { return row_pairs_.size(); }
+  // The pair of a row, as it came.
   int pair_of(int row) const { return row_pairs_[row]; }
 
   // Add the rows of what met, kept apart by their margins or by `kCleared`.

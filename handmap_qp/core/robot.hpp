@@ -29,7 +29,7 @@ struct Ask {
 class Asker : public SampleReader {
  public:
   // `source` is handed on with every `Ask`.
-  Asker(const PythonIk& ik, std::shared_ptr<const TargetMap> map, StepViews views, nb::object source)
+  Asker(const Ik& ik, std::shared_ptr<const TargetMap> map, StepViews views, nb::object source)
       : SampleReader(map), source_(std::move(source)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik.tree.joint_columns})) {
@@ -62,7 +62,7 @@ class RobotMover {
  public:
   using Asks = std::vector<const Ask*>;
 
-  RobotMover(std::shared_ptr<PythonIk> ik, RobotModel model, StepViews views)
+  RobotMover(std::shared_ptr<Ik> ik, RobotModel model, StepViews views)
       : ik_(std::move(ik)), reader_(std::make_shared<StepReader>(
                                 StepReader{std::move(views), nullptr, ik_->tree.joint_columns})),
         model_(std::move(model)), hands_(model_.hands), rest_(ik_->tree.joint_rest) {
@@ -211,7 +211,7 @@ class RobotMover {
     return made;
   }
 
-  std::shared_ptr<PythonIk> ik_;
+  std::shared_ptr<Ik> ik_;
   std::shared_ptr<const StepReader> reader_;
   const RobotModel model_;
   const std::vector<RobotHandModel>& hands_;

@@ -2,11 +2,13 @@ from . import (
     mjcf as mjcf,
 )
 from .collision_shapes import add_stand_ins as add_stand_ins
+from .collision_shapes import body_models as body_models
 from .collision_shapes import convex_hull as convex_hull
 from .collision_shapes import is_lost as is_lost
 from .collision_shapes import is_missing as is_missing
 from .collision_shapes import prism_around as prism_around
 from .collision_shapes import read_collision_shapes as read_collision_shapes
+from .collision_shapes import shape_model as shape_model
 from .configuration import AttachedPoints as AttachedPoints
 from .configuration import Configuration as Configuration
 from .configuration import moved_by as moved_by

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import reason_of
+from handmap_qp.models import BodyModel, ShapeModel
 from handmap_qp.se3 import Array, affine
 from .hand import Hand
 from .urdf import (
@@ -224,3 +225,45 @@ def convex_hull(points: Array) -> coal.Convex | None:
     vertices.extend([*points[hull.vertices]])
     faces.extend([coal.Triangle(*triangle) for triangle in triangles.tolist()])
     return coal.Convex(vertices, faces)
+
+
+def body_models(geometry: pin.GeometryModel) -> tuple[BodyModel, ...]:
+    """Return all shapes as the core has them.
+
+    Raises:
+        ValueError: If one is not convex.
+    """
+    return tuple(map(_body_model, geometry.geometryObjects))
+
+
+def _body_model(body: pin.GeometryObject) -> BodyModel:
+    placement = body.placement
+    return BodyModel(
+        joint=body.parentJoint - 1,
+        placement=placement.homogeneous,
+        shape=shape_model(body.geometry),
+        centre=placement.act(np.ravel(body.geometry.aabb_center)),
+        radius=body.geometry.aabb_radius,
+    )
+
+
+def shape_model(shape: coal.CollisionGeometry) -> ShapeModel:
+    """Return a shape as the core has it.
+
+    Raises:
+        ValueError: If it is not convex.
+    """
+    half, radius, corners = np.zeros(3), 0.0, np.zeros((0, 3))
+    match shape:
+        case coal.Box():
+            kind, half = "box", np.ravel(shape.halfSide)
+        case coal.Sphere():
+            kind, radius = "sphere", shape.radius
+        case coal.Capsule():
+            kind, radius = "capsule", shape.radius
+            half = np.array([0.0, 0.0, shape.halfLength])
+        case coal.Convex():
+            kind, corners = "convex", np.array(shape.points())
+        case _:
+            raise ValueError(f"a shape that is not convex: {type(shape).__name__}")
+    return ShapeModel(kind=kind, half=half, radius=radius, corners=corners)

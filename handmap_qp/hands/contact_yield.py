@@ -19,33 +19,18 @@ Where that sum is not above 0, as in one of eleven random sets of contacts, ther
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from handmap_qp.models import YieldModel
 from handmap_qp.se3 import Array
 
 NEAR = 1e-3
 """Pairs that are farther apart than this count as not touching [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ContactYield:
-    """How far pairs of shapes may overlap in commands.
-
-    Attributes:
-        forces: Largest force between the shapes of each pair [N], shape (k,); 0 for pairs that
-            must not overlap.
-        depths: Largest overlap of each pair [m], shape (k,).
-        compliances: Turn of each active coordinate by a torque of position control [rad/(N m),
-            m/N], shape (n,); 0 for those that are no finger's.
-        torques: Largest torque of each active coordinate [N m, N], shape (n,).
-    """
-
-    forces: Array
-    depths: Array
-    compliances: Array
-    torques: Array
+class ContactYield(YieldModel, frozen=True, kw_only=True):
+    """How far pairs of shapes may overlap in commands."""
 
     def overlaps(
         self, pairs: Array, G: Array, touching: Array, distances: Array
@@ -82,8 +67,8 @@ def common_yield(
     if not known:
         return None
     return ContactYield(
-        np.max([own.forces[order] for own, order in known], axis=0),
-        np.max([own.depths[order] for own, order in known], axis=0),
-        np.max([own.compliances for own, _ in known], axis=0),
-        np.min([own.torques for own, _ in known], axis=0),
+        forces=np.max([own.forces[order] for own, order in known], axis=0),
+        depths=np.max([own.depths[order] for own, order in known], axis=0),
+        compliances=np.max([own.compliances for own, _ in known], axis=0),
+        torques=np.min([own.torques for own, _ in known], axis=0),
     )

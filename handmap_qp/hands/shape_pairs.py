@@ -231,7 +231,10 @@ def yield_to(
     compliances[columns] = 1.0 / springs[moves]
     torques[columns] = torque_limits(hand).values[moves]
     yielding = ContactYield(
-        force * may_press, _DEEPEST * thinner * may_press, compliances, torques
+        forces=force * may_press,
+        depths=_DEEPEST * thinner * may_press,
+        compliances=compliances,
+        torques=torques,
     )
     return pairs._replace(yielding=yielding)
 

@@ -5,7 +5,6 @@ from . import mink_problem as mink_problem
 from . import solvers as solvers
 from .collision import pair_bounds as pair_bounds
 from .compiled import core_tree as core_tree
-from .core import Compiled as Compiled
 from .gate import Gate as Gate
 from .motion import BEHIND as BEHIND
 from .motion import LONGEST_STEP as LONGEST_STEP

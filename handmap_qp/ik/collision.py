@@ -58,7 +58,7 @@ nearer, and its row parts it.
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -67,14 +67,21 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import (
     NEAR,
     Configuration,
+    ContactYield,
     Hand,
     ShapePairs,
+    body_models,
     moved_by,
     named_pairs,
     pair_ends,
 )
+from handmap_qp.models import (
+    CollisionModel,
+    PairsModel,
+    encode,
+)
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
-from .core import Compiled
+from .core import core
 
 Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
@@ -110,7 +117,7 @@ class NearPairs(NamedTuple):
     found: Array
 
 
-class PairBounds(Compiled):
+class PairBounds:
     """What never changes of pairs of shapes: how far a change of each coordinate moves them.
 
     Args:
@@ -151,6 +158,30 @@ class PairBounds(Compiled):
         # Sliding between the shapes doubles the acceleration that turns give their points.
         sliding = is_between * has_sliding[:, None]
         self.turns = turning * (moved[self.first] + moved[self.second] + sliding)
+
+    @cached_property
+    def core(self) -> Any:
+        """The core's own."""
+        return core.PairBounds(encode(self.model()))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
+
+    def model(self) -> PairsModel:
+        """Return the pairs as the core has them.
+
+        Raises:
+            ValueError: If a shape is not convex.
+        """
+        return PairsModel(
+            bodies=body_models(self.geometry),
+            first=self.first,
+            second=self.second,
+            levers=self.levers,
+            turns=self.turns.astype(float),
+            signs=self.signs,
+        )
 
     def moving_columns(self, spread: Array) -> Array:
         """Return which active coordinates move the shapes of any pair against each other, (k,).
@@ -212,6 +243,14 @@ def _extent(shape: pin.GeometryObject) -> tuple[Array, float]:
     return transform_points(shape.placement.homogeneous, points), radius
 
 
+@lru_cache(maxsize=32)
+def _collision_model(
+    margin: float, horizon: float, yielding: ContactYield | None
+) -> CollisionModel:
+    """Return how pairs are kept apart, as the core has it; people share it."""
+    return CollisionModel(margin=margin, horizon=horizon, yielding=yielding)
+
+
 class CollisionLimit:
     """Measures signed distances of pairs of collision shapes, and keeps them apart by rows.
 
@@ -225,6 +264,7 @@ class CollisionLimit:
     Attributes:
         margin: Distance to keep [m]; `horizon` as given.
         yielding: How far the pairs may overlap; None for not at all.
+        model: These as the core has them.
         bounds: How far changes of coordinates move the pairs.
         columns: Which active coordinates move the shapes of any pair against each other, shape
             (n,). The others, such as those of a floating wrist, change no distance.
@@ -249,6 +289,7 @@ class CollisionLimit:
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
         self.yielding = pairs.yielding
+        self.model = _collision_model(self.margin, horizon, self.yielding)
         self._spread = hand.spread
         self._model = hand.model
         self.bounds = pair_bounds(hand.model, pairs.geometry)

@@ -2,10 +2,9 @@
 
 import importlib
 import zlib
-from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 
 def fingerprint() -> str:
@@ -50,19 +49,3 @@ if TYPE_CHECKING:
 else:
     # None where a build runs this file by itself, for `fingerprint`.
     core = load_core() if __package__ else None
-
-
-class Compiled:
-    """Base of classes that the core has too, under the same name; subclasses run in Python."""
-
-    @cached_property
-    def core(self) -> Any | None:
-        """The core's own, made of this object's attributes; None for a class of a user."""
-        kind = getattr(core, type(self).__name__, None)
-        return kind and kind(self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        state = vars(self).copy()
-        state.pop("core", None)
-        return state

@@ -18,7 +18,7 @@ from .compiled import core_tree
 from .core import core
 from .limits import box_limits
 from .motion import Interval, Motion, When
-from .options import IkOptions
+from .options import IkOptions, ik_model
 
 
 @lru_cache(maxsize=32)
@@ -75,8 +75,15 @@ class Gate:
 
     def _make_core(self) -> Any:
         """Return the core's gate of this robot."""
+        return core.Gate(*self._parts())
+
+    def _parts(self) -> tuple[Any, ...]:
+        """Return what the core's gate is made of."""
         tree = core_tree(self.hand)
-        return core.Gate(tree, encoded(self.limits), self.collisions)
+        limits = encoded(self.limits)
+        if self.collisions is None:
+            return tree, limits
+        return tree, limits, self.collisions.bounds.core, encoded(self.collisions.model)
 
     @property
     def motion(self) -> Motion:
@@ -203,8 +210,5 @@ class IkGate(Gate):
 
     def _make_core(self) -> Any:
         """Return the core's `Ik` of this hand, which is a gate."""
-        tree = core_tree(self.hand)
-        limits = encoded(self.limits)
-        return core.Ik(
-            tree, self.hand, self._options, limits, self.collisions, self.links
-        )
+        tree, *parts = self._parts()
+        return core.Ik(tree, encoded(ik_model(self.hand, self._options)), *parts)

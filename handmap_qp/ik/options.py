@@ -1,11 +1,13 @@
 """Weights and settings of the inverse kinematics."""
 
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from handmap_qp.hands import Hand, Names
+from handmap_qp.models import IkModel
 from handmap_qp.options import NotNegative, Options, Positive, number
 from handmap_qp.se3 import Array
 
@@ -97,3 +99,24 @@ class IkOptions(Options, frozen=True):
             self.wrist_position_weight / LENGTH_UNIT,
             self.wrist_orientation_weight / ANGLE_UNIT,
         )
+
+
+@lru_cache(maxsize=32)
+def ik_model(hand: Hand, options: IkOptions) -> IkModel:
+    """Return the weights and settings of a hand, as the core has them; people share them."""
+    position, orientation = options.wrist_costs
+    return IkModel(
+        point_costs=options.point_costs(hand),
+        wrist_position_cost=position,
+        wrist_orientation_cost=orientation,
+        damping=options.damping,
+        error_damping=options.error_damping,
+        rest_weight=options.rest_weight,
+        speed_weight=options.speed_weight,
+        acceleration_weight=options.acceleration_weight,
+        max_iterations=options.max_iterations,
+        step_tolerance=options.step_tolerance,
+        point_tolerance=options.point_tolerance,
+        points_follow_wrist=options.points_follow_wrist,
+        takes_detours=options.takes_detours,
+    )

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
@@ -29,7 +29,15 @@ from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from .core import core
 from .motion import Motion, When
 from .options import IkOptions
-from .tasks import Goal, JointPositions, Task, TaskRows, tasks_named
+from .tasks import (
+    Goal,
+    JointPositions,
+    PointDistances,
+    PointOffset,
+    Task,
+    TaskRows,
+    tasks_named,
+)
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -379,7 +387,39 @@ class PointIk:
         )
         if not self.is_compiled:
             return self._solve_here(goal)
-        return self.result_of(self.core.solve(goal))
+        return self.result_of(self._solve_in_core(goal))
+
+    def _solve_in_core(self, goal: Goal) -> Any:
+        """Return the core's step to the targets of one sample."""
+        distances = []
+        offsets = []
+        others = []
+        for task in goal.tasks:
+            # A subclass may have other rows.
+            if type(task) is PointDistances:
+                distances.append((task.core, task.distances, task.weights))
+            elif isinstance(task, PointOffset):
+                points = task.points
+                offsets.append((points.joints, points.offsets, task.aim, task.weight))
+            else:
+                others.append(task)
+        return self.core.solve(
+            goal.points,
+            goal.wrists,
+            goal.postures,
+            goal.dt,
+            goal.margins,
+            goal.speed,
+            goal.damping_shares,
+            distances,
+            offsets,
+            partial(self._linearise, others) if others else None,
+        )
+
+    def _linearise(self, tasks: Sequence[Task], q: Array) -> list[TaskRows]:
+        """Return the rows of tasks that the core does not have, at a configuration, (nq,)."""
+        self._configuration.place(q)
+        return [task.linearise(self._configuration) for task in tasks]
 
     def result_of(self, step: core.Step) -> IkResult:
         """Return the result of a step of the core."""

@@ -18,17 +18,18 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import AttachedPoints, Configuration, Hand
-from handmap_qp.models import DistancesModel
+from handmap_qp.models import DistancesModel, encode
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
-from .core import Compiled
+from .core import core
 from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def tasks_named(names: Sequence[str], hand: Hand) -> list[Task]:
     return [TASKS[name](hand) for name in names]
 
 
-class PointDistances(Compiled):
+class PointDistances:
     """Keep pairs of points at given distances.
 
     What a pair asks for may stay out of reach, and the hand must be free to move in other
@@ -146,6 +147,15 @@ class PointDistances(Compiled):
         self.first, self.second = indices.T
         self.distances = _check_numbers(distances, len(indices), "distances")
         self.weights = _check_numbers(weights, len(indices), "weights")
+
+    @cached_property
+    def core(self) -> Any:
+        """The core's own, without distances and weights."""
+        return core.PointDistances(encode(self.model()))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
 
     def model(self) -> DistancesModel:
         """Return its points and pairs, as the core has them."""

@@ -17,6 +17,7 @@ from .hand import FrameModel as FrameModel
 from .hand import HandModel as HandModel
 from .hand import JointModel as JointModel
 from .hand import PlaceModel as PlaceModel
+from .ik import IkModel as IkModel
 from .limits import BoxLimits as BoxLimits
 from .method import DistancesModel as DistancesModel
 from .method import EstimatorModel as EstimatorModel
@@ -27,3 +28,8 @@ from .person import GuardModel as GuardModel
 from .person import LandmarkReaderModel as LandmarkReaderModel
 from .robot import RobotHandModel as RobotHandModel
 from .robot import RobotModel as RobotModel
+from .shapes import BodyModel as BodyModel
+from .shapes import CollisionModel as CollisionModel
+from .shapes import PairsModel as PairsModel
+from .shapes import ShapeModel as ShapeModel
+from .shapes import YieldModel as YieldModel

@@ -137,12 +137,11 @@ def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
+    from handmap_qp.hands.collision_shapes import shape_model
     from handmap_qp.human.recording import sample_columns
     from handmap_qp.ik import core_tree
     from handmap_qp.ik.compiled import hand_model
-    from handmap_qp.ik.tasks import Goal
-    from handmap_qp.mapping.method import step_views
-    from handmap_qp.stream.step_table import StepTable
+    from handmap_qp.ik.options import ik_model
 
     recording = read_recording("demo", "right").part(slice(0, 60))
     columns = sample_columns(recording)
@@ -154,7 +153,6 @@ def calls_of(core: Any) -> dict[str, Call]:
     for each in (mapper, teleoperated):
         each.map_landmarks(recording.landmarks[0])
     follower.map_sample(columns.sample(0))
-    joints = load_hand("human")
     ik = teleoperated.point_ik
     robot = ik.hand
     gate, tree = ik.gate, core_tree(robot)
@@ -164,20 +162,28 @@ def calls_of(core: Any) -> dict[str, Call]:
     motion = gate.motion
     wrist = np.eye(4)
     dt = 1.0 / 60.0
-    sample = columns.sample(1)
-    pose = mapper.landmarks.read(sample.landmarks)[0]
-    guard: Any = follower._guard
-    smoother: Any = follower._smoother
-    own_map: Any = mapper.target_map
-    reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
-    table = StepTable(mapper.robot, len(columns.time))
-    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
-    judged = sample.time, sample.landmarks, None, True, 1.0
-    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
-    goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
-    geometry = bounds.geometry.geometryObjects
-    solver, in_core = ik.core, mapper.core
+    task = teleoperation.method.distances
+    aims = np.ones(len(task.first))
+    size = gate.limits.size
+    goal = (
+        points,
+        wrist[None],
+        ik.postures(dt, None),
+        dt,
+        None,
+        1.0,
+        np.ones(len(robot.joint_names)),
+        [(task.core, aims, aims)],
+        [([1, 5], np.zeros((2, 3)), np.zeros(3), 1.0)],
+        lambda q: [(np.ones(2), np.ones((2, size)), np.ones(size))],
+    )
+    shapes = [
+        encode(shape_model(each.geometry))
+        for each in bounds.geometry.geometryObjects[:2]
+    ]
+    parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
+    solver = ik.core
     still = np.zeros(gate.limits.size)
 
     def posed() -> Any:
@@ -186,7 +192,6 @@ def calls_of(core: Any) -> dict[str, Call]:
 
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    palm = encode(teleoperation.palm_model())
     calls: dict[str, Call] = {
         "measure_shape": (
             core.measure_shape,
@@ -207,7 +212,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "measure_shapes": (
             core.measure_shapes,
-            (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
+            (*shapes[:1], wrist, *shapes[1:], 2.0 * wrist),
         ),
         "Tree": (core.Tree, (encode(hand_model(robot)),)),
         "Tree.moved": (
@@ -233,9 +238,9 @@ def calls_of(core: Any) -> dict[str, Call]:
             tree.smallest_distances,
             (bounds.core, robot.rest[None], [0, 3], 1.0),
         ),
-        "PairBounds": (core.PairBounds, (bounds,)),
-        "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Gate": (core.Gate, (tree, encode(gate.limits), gate.collisions)),
+        "PairBounds": (core.PairBounds, (encode(bounds.model()),)),
+        "PointDistances": (core.PointDistances, (encode(task.model()),)),
+        "Gate": (core.Gate, (tree, *parts)),
         "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
@@ -264,19 +269,99 @@ def calls_of(core: Any) -> dict[str, Call]:
         "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
-            (
-                tree,
-                ik.hand,
-                ik.options,
-                encode(gate.limits),
-                gate.collisions,
-                gate.links,
-            ),
+            (tree, encode(ik_model(ik.hand, ik.options)), *parts),
         ),
         "Ik.hold": (solver.hold, (dt,)),
-        "Ik.solve": (solver.solve, (goal,)),
+        "Ik.solve": (solver.solve, goal),
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
+    }
+    return (
+        calls
+        | stream_calls(core, follower, columns)
+        | sample_calls(core, follower, teleoperated.target_map, columns)
+        | robot_calls(core, recording.landmarks[0])
+    )
+
+
+def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
+    """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
+    from handmap_qp.human.sample import landmarks_at_rest
+    from handmap_qp.models import GuardModel
+    from handmap_qp.trackers.plausibility import known_orders
+
+    guard, smoother = follower._guard, follower._smoother
+    wrist, dt = np.eye(4), 1.0 / 60.0
+    wrists = np.tile(wrist, (60, 1, 1))
+    sample = columns.sample(1)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    pose = core.HumanPose(sample.landmarks, wrist)
+    given = columns.time, columns.landmarks, columns.valid, np.ones(60), wrists
+    samples = core.Samples(*given)
+    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
+    orders = known_orders().core
+    check = core.InputCheck("right", orders)
+    track = core.Track(0.0, sample.landmarks)
+    rest = landmarks_at_rest(follower.mapper.human)
+    person = GuardModel(side="right", landmarks=rest)
+    return {
+        "measure_episode": (
+            core.measure_episode,
+            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
+        ),
+        "Samples": (core.Samples, given),
+        "StreamGuard.check": (guard.core.check, (*judged, None)),
+        "StreamGuard.holds": (guard.core.holds, (samples,)),
+        "StreamGuard.restore": (guard.core.restore, (guard.core.save(),)),
+        "InputCheck": (core.InputCheck, ("right", orders)),
+        "InputCheck.update": (check.update, (0.1, sample.landmarks, wrist)),
+        "InputCheck.examine": (check.examine, (samples,)),
+        "InputCheck.restore": (check.restore, (check.save(),)),
+        "LandmarkOrders": (
+            core.LandmarkOrders,
+            ([[*range(21)], [*range(20, -1, -1)]],),
+        ),
+        "SampleClock.advance": (core.SampleClock().advance, (0.1,)),
+        "SampleClock.at": (core.SampleClock().at, (0.1,)),
+        "ArrivalCredit.spend": (core.ArrivalCredit().spend, (dt, 0.1)),
+        "RateCheck.update": (core.RateCheck().update, (0.1, 0.1)),
+        "Track": (core.Track, (0.1, sample.landmarks)),
+        "change_between": (core.change_between, (track, track, dt)),
+        "log_size": (core.log_size, (columns.landmarks,)),
+        "misfit": (core.misfit, (columns.landmarks,)),
+        "palmar_evidence": (core.palmar_evidence, (columns.landmarks,)),
+        "palm_axes": (core.palm_axes, (columns.landmarks, 1.0)),
+        "Smoother": (core.Smoother, (0.4, 12.0)),
+        "Smoother.restore": (smoother.core.restore, (smoother.core.save(),)),
+        "Smoother.smooth": (smoother.core.smooth, (pose, dt)),
+        "Smoother.wait": (smoother.core.wait, (dt,)),
+        "StreamGuard": (core.StreamGuard, (encode(person), orders)),
+    }
+
+
+def sample_calls(
+    core: Any, follower: Any, teleoperation: Any, columns: Any
+) -> dict[str, Call]:
+    """Return calls of what maps samples: a follower of one map, and another map."""
+    from handmap_qp import load_hand
+    from handmap_qp.ik import core_tree
+    from handmap_qp.mapping.method import step_views
+    from handmap_qp.stream.step_table import StepTable
+
+    mapper = follower.mapper
+    guard, smoother, reader = follower._guard, follower._smoother, mapper.landmarks.core
+    own_map, in_core = mapper.target_map, mapper.core
+    wrist, dt = np.eye(4), 1.0 / 60.0
+    sample = columns.sample(1)
+    points = sample.landmarks
+    pose = reader.read(points, None)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
+    table = StepTable(mapper.robot, len(columns.time))
+    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    palm = encode(teleoperation.palm_model())
+    joints = load_hand("human")
+    return {
         "HumanPose": (core.HumanPose, (points, wrist)),
         "StepViews": (core.StepViews, (list, list, list, list)),
         "SampleMapper": (
@@ -325,74 +410,15 @@ def calls_of(core: Any) -> dict[str, Call]:
             (joints.rest, wrist),
         ),
     }
-    return (
-        calls
-        | stream_calls(core, follower, columns)
-        | robot_calls(core, recording.landmarks[0], views)
-    )
 
 
-def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
-    """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
-    from handmap_qp.human.sample import landmarks_at_rest
-    from handmap_qp.models import GuardModel
-    from handmap_qp.trackers.plausibility import known_orders
-
-    guard, smoother = follower._guard, follower._smoother
-    wrist, dt = np.eye(4), 1.0 / 60.0
-    wrists = np.tile(wrist, (60, 1, 1))
-    sample = columns.sample(1)
-    judged = sample.time, sample.landmarks, None, True, 1.0
-    pose = follower.mapper.landmarks.read(sample.landmarks)[0]
-    given = columns.time, columns.landmarks, columns.valid, np.ones(60), wrists
-    samples = core.Samples(*given)
-    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
-    orders = known_orders().core
-    check = core.InputCheck("right", orders)
-    track = core.Track(0.0, sample.landmarks)
-    rest = landmarks_at_rest(follower.mapper.human)
-    person = GuardModel(side="right", landmarks=rest)
-    return {
-        "measure_episode": (
-            core.measure_episode,
-            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
-        ),
-        "Samples": (core.Samples, given),
-        "StreamGuard.check": (guard.core.check, (*judged, None)),
-        "StreamGuard.holds": (guard.core.holds, (samples,)),
-        "StreamGuard.restore": (guard.core.restore, (guard.core.save(),)),
-        "InputCheck": (core.InputCheck, ("right", orders)),
-        "InputCheck.update": (check.update, (0.1, sample.landmarks, wrist)),
-        "InputCheck.examine": (check.examine, (samples,)),
-        "InputCheck.restore": (check.restore, (check.save(),)),
-        "LandmarkOrders": (
-            core.LandmarkOrders,
-            ([[*range(21)], [*range(20, -1, -1)]],),
-        ),
-        "SampleClock.advance": (core.SampleClock().advance, (0.1,)),
-        "SampleClock.at": (core.SampleClock().at, (0.1,)),
-        "ArrivalCredit.spend": (core.ArrivalCredit().spend, (dt, 0.1)),
-        "RateCheck.update": (core.RateCheck().update, (0.1, 0.1)),
-        "Track": (core.Track, (0.1, sample.landmarks)),
-        "change_between": (core.change_between, (track, track, dt)),
-        "log_size": (core.log_size, (columns.landmarks,)),
-        "misfit": (core.misfit, (columns.landmarks,)),
-        "palmar_evidence": (core.palmar_evidence, (columns.landmarks,)),
-        "palm_axes": (core.palm_axes, (columns.landmarks, 1.0)),
-        "Smoother": (core.Smoother, (0.4, 12.0)),
-        "Smoother.restore": (smoother.core.restore, (smoother.core.save(),)),
-        "Smoother.smooth": (smoother.core.smooth, (pose, dt)),
-        "Smoother.wait": (smoother.core.wait, (dt,)),
-        "StreamGuard": (core.StreamGuard, (encode(person), orders)),
-    }
-
-
-def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
+def robot_calls(core: Any, right: np.ndarray) -> dict[str, Call]:
     """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
     from handmap_qp.hands.robot import load_robot
     from handmap_qp.mapping.robot_mapper import RobotMapper
 
     mapper = RobotMapper(load_robot("g1"))
+    views = core.StepViews(list, list, list, list)
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
     asks = [leader.asked for leader in mapper.leaders.values()]

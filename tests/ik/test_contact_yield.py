@@ -34,10 +34,10 @@ def overlaps_of(G: Array, torque: float = np.inf, depth: float = 1.0) -> Array:
     count, size = G.shape
     ones = np.ones
     yielding = ContactYield(
-        FORCE * ones(count),
-        depth * ones(count),
-        ones(size) / STIFFNESS,
-        torque * ones(size),
+        forces=FORCE * ones(count),
+        depths=depth * ones(count),
+        compliances=ones(size) / STIFFNESS,
+        torques=torque * ones(size),
     )
     return yielding.overlaps(np.arange(count), G, G, -1e-3 * ones(count))
 
@@ -177,12 +177,17 @@ def test_a_robot_takes_of_its_hands_the_force_of_the_one_that_presses() -> None:
     inf = np.inf
     none = np.zeros(2)
     left = ContactYield(
-        np.array([FORCE, 0.0]),
-        np.array([0.004, 0.0]),
-        np.array([0.5, 0.0]),
-        np.array([0.7, inf]),
+        forces=np.array([FORCE, 0.0]),
+        depths=np.array([0.004, 0.0]),
+        compliances=np.array([0.5, 0.0]),
+        torques=np.array([0.7, inf]),
     )
-    right = ContactYield(none, none, np.array([0.0, 0.25]), np.array([inf, 0.9]))
+    right = ContactYield(
+        forces=none,
+        depths=none,
+        compliances=np.array([0.0, 0.25]),
+        torques=np.array([inf, 0.9]),
+    )
     # The second hand has its pairs in another order.
     both = common_yield([(left, np.array([0, 1])), (right, np.array([1, 0]))])
     assert both

@@ -12,6 +12,7 @@ import pinocchio as pin
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
+from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.compiled import hand_model
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
 from handmap_qp.models import Model, encode
@@ -32,15 +33,6 @@ _ATTRIBUTES = {
     "WristSpec": "max_linear_speed max_angular_speed",
     "PointSpec": "name link xyz",
     "Frame": "parentJoint placement",
-    "CollisionLimit": "margin horizon columns bounds yielding",
-    "ContactYield": "forces depths compliances torques",
-    "PairBounds": "geometry levers turns signs links",
-    "GeometryModel": "geometryObjects collisionPairs",
-    "GeometryObject": "parentJoint placement geometry",
-    "CollisionPair": "first second",
-    "Box": "halfSide aabb_center aabb_radius",
-    "Sphere": "radius aabb_center aabb_radius",
-    "Capsule": "radius halfLength aabb_center aabb_radius",
     "MotionEstimator": "ridge centroid shares centred gain prior_gain _singular_values",
     "PointDistances": "points first second distances weights",
     "AttachedPoints": "joints offsets",
@@ -72,7 +64,7 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
     """
     if not mapper.ik.is_compiled:
         _refuse("formulation", "the compiled core does not move this hand as asked")
-    collisions = _packed(mapper.point_ik.gate.collisions)
+    collisions = _collisions(mapper.point_ik.gate.collisions)
     if isinstance(mapper, RobotMapper):
         form, tree = ROBOT, _robot(mapper, collisions)
     else:
@@ -130,6 +122,19 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
 def _hand_of(hand: Hand) -> dict[str, Any]:
     """Return what is read of a hand in Python, and its model for the core."""
     return _packed(hand) | {"tree_model": encode(hand_model(hand))}
+
+
+def _collisions(limit: CollisionLimit | None) -> dict[str, Any] | None:
+    """Return the pairs of shapes that a hand keeps apart, and how."""
+    if limit is None:
+        return None
+    return {
+        "": "CollisionLimit",
+        "pairs": encode(limit.bounds.model()),
+        "model": encode(limit.model),
+        "links": limit.bounds.links,
+        "columns": limit.columns,
+    }
 
 
 def _grasp(robot: Hand) -> dict[str, Any]:
@@ -200,13 +205,5 @@ def _joint(joint: pin.JointModel) -> dict[str, Any]:
     }
 
 
-def _convex(shape: Any) -> dict[str, Any]:
-    return {
-        "corners": np.array(shape.points()),
-        "aabb_center": shape.aabb_center,
-        "aabb_radius": shape.aabb_radius,
-    }
-
-
-_MADE = {"Model": _model, "JointModel": _joint, "Convex": _convex}
+_MADE = {"Model": _model, "JointModel": _joint}
 """What the core reads of classes of Pinocchio and coal by their methods."""

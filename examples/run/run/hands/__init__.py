@@ -12,7 +12,7 @@ from handmap_qp.hands import configuration
 from handmap_qp.hands.configuration import AttachedPoints
 from handmap_qp.hands.pad import Pad
 from handmap_qp.hands.pad import PadPair as PadPair
-from handmap_qp.ik.core import Compiled, core
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     as_floats,
@@ -33,8 +33,8 @@ class Record:
 
 
 # Types of arguments, and what only describes a hand that is not saved yet.
-Finger = PointSpec = ShapePairs = Record
-load_hand = moved_by = named_pairs = pair_ends = yield_to = None
+ContactYield = Finger = PointSpec = ShapePairs = Record
+body_models = load_hand = moved_by = named_pairs = pair_ends = yield_to = None
 
 
 class Pose(Record):
@@ -128,30 +128,38 @@ class Data:
         return np.hstack([linear, turning]).T
 
 
-class Convex(Record):
-    """A convex shape; the others are plain records."""
+class CollisionLimit(Record):
+    """Pairs of shapes that are kept apart, as of `ik.collision`, and their bounds.
 
-    corners: Array
+    Attributes:
+        pairs: Bytes of the pairs.
+        model: Bytes of how they are kept apart.
+        links: Links of each pair.
+        columns: Which active coordinates move shapes against each other.
+    """
 
-    def points(self) -> Array:
-        return self.corners
+    pairs: bytes
+    model: bytes
+    links: tuple[Names, ...]
+    columns: Array
 
+    @property
+    def bounds(self) -> CollisionLimit:
+        return self
 
-class PairBounds(Compiled, Record):
-    """Bounds of pairs of shapes, as of `ik.collision`."""
+    @cached_property
+    def core(self) -> Any:
+        """The core's own pairs."""
+        return core.PairBounds(self.pairs)
 
-    levers: Array
+    def __getstate__(self) -> Values:
+        """Return all but the core's own, which a copy makes again."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
 
     def moving_columns(self, spread: Array) -> Array:
         """Return which active coordinates move shapes against each other."""
-        return (self.levers > 0.0).any(axis=0) @ (spread != 0.0)
-
-
-class CollisionLimit(Record):
-    """Pairs of shapes that are kept apart, as of `ik.collision`."""
-
-    # Files of former versions do not have it.
-    yielding: Record | None = None
+        del spread
+        return self.columns
 
 
 class Configuration(configuration.Configuration):
@@ -309,8 +317,6 @@ KINDS = {
         CollisionLimit,
         JointModel,
         Model,
-        Convex,
-        PairBounds,
         Grasp,
         Hand,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from handmap_qp.ik import qp
-from handmap_qp.ik.core import core
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.options import IkOptions
@@ -42,9 +41,10 @@ class PointIk(qp.PointIk):
 class _SavedGate(IkGate):
     """The gate of a saved hand, which has its own kinematics."""
 
-    def _make_core(self) -> Any:
+    def _parts(self) -> tuple[Any, ...]:
         hand: Any = self.hand
+        collisions: Any = self.collisions
         limits = encoded(self.limits)
-        return core.Ik(
-            hand.tree, hand, self._options, limits, self.collisions, self.links
-        )
+        if collisions is None:
+            return hand.tree, limits
+        return hand.tree, limits, collisions.core, collisions.model
