@@ -76,6 +76,7 @@ lint: $(INSTALLED) ## Check style (ruff), types (ty), and who imports whom (impo
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ty check --error-on-warning --python $(BIN)/python
+	@$(BIN)/python .ci/core_stub.py
 	@$(BIN)/lint-imports --no-cache
 	@PYTHONPATH=$(PACKAGE_PATH) $(BIN)/lint-imports --no-cache --config packages/imports.toml
 
@@ -137,7 +138,7 @@ sanitize: $(INSTALLED) ## Run the tests of the core, built with the sanitizers o
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/sanitize $(ARGS)
 
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
-	rm -f handmap_qp/_core.*
+	rm -f $(filter-out %.pyi,$(wildcard handmap_qp/_core.*))
 	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
 	find handmap_qp packages tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 

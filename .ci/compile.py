@@ -45,7 +45,9 @@ class Compile(ScikitBuildHook):
         package = Path(self.root, "handmap_qp")
         if version == "editable":
             for stale in package.glob("_core.*"):
-                stale.unlink()
+                # The stub is a source.
+                if stale.suffix != ".pyi":
+                    stale.unlink()
         check_compiler()
         tell("handmap_qp: compiling the core, which takes a minute or two")
         before = dict(build_data)

@@ -58,7 +58,7 @@ nearer, and its row parts it.
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -83,6 +83,9 @@ from handmap_qp.models import (
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .core import core
 
+if TYPE_CHECKING:
+    from handmap_qp import _core
+
 Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
 
@@ -97,11 +100,6 @@ _MOST_POINTS = 30
 _NEARER = 1e-6
 # Part of the free distance that one step may use.
 _GAIN = 0.85
-# Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
-# what links approach each other by in a sample at this speed [m/s].
-_NEAR, _APPROACH = 0.001, 0.5
-# They approach by no more than this part of their travel in the last sample.
-_EXPECTED = 0.25
 
 
 class NearPairs(NamedTuple):
@@ -160,7 +158,7 @@ class PairBounds:
         self.turns = turning * (moved[self.first] + moved[self.second] + sliding)
 
     @cached_property
-    def core(self) -> Any:
+    def core(self) -> _core.PairBounds:
         """The core's own."""
         return core.PairBounds(encode(self.model()))
 
@@ -307,32 +305,6 @@ class CollisionLimit:
         for request in shapes.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         return shapes
-
-    def measure(
-        self,
-        q: Array,
-        dt: float = np.inf,
-        margins: Array | None = None,
-        last: Array | None = None,
-    ) -> NearPairs:
-        """Measure the pairs that get rows.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-            dt: Time of the sample [s], in which links approach each other.
-            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
-            last: Displacement of the sample before, shape (n,): the next one is expected to be as
-                long.
-        """
-        reach = self.horizon
-        if reach < np.inf:
-            reach = max(min(_NEAR + _APPROACH * dt, reach), KEPT)
-            if last is not None:
-                turns = np.abs(self._spread.dot(last))
-                travel = self.bounds.levers.dot(turns)
-                reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
-        kept = self.margin if margins is None else margins
-        return self.within(q, kept + reach)
 
     def overlaps(self, q: Array, near: NearPairs) -> Array:
         """Return how far pairs may overlap in a posture [m], shape (r,).
@@ -487,7 +459,7 @@ class CollisionLimit:
 
         Args:
             configuration: Of the hand, placed with Jacobians.
-            near: What `measure` found there, or `met_on` on a path from there.
+            near: What `within` found there, or `met_on` on a path from there.
             margins: Distance that all pairs keep [m], or each of them, shape (k,); `margin` if
                 omitted.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from handmap_qp.hands import Hand, Names
 from handmap_qp.models import BoxLimits, encoded
@@ -20,12 +20,19 @@ from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions, ik_model
 
+if TYPE_CHECKING:
+    from handmap_qp import _core
+
 
 @lru_cache(maxsize=32)
 def _limits_of(hand: Hand, options: IkOptions, bounds: PairBounds | None) -> BoxLimits:
     """Return the limits of a hand that keeps pairs of shapes apart; people share them."""
     together = None if bounds is None else bounds.moving_columns(hand.spread)
     return box_limits(hand, options, together)
+
+
+GateParts = tuple[core.Tree, bytes] | tuple[core.Tree, bytes, core.PairBounds, bytes]
+"""What the core's gate is made of: kinematics, limits, and pairs of shapes with how they part."""
 
 
 class Gate:
@@ -44,6 +51,8 @@ class Gate:
         links: Links of each pair; at -1, there are none.
         core: The gate of the compiled core, which decides.
     """
+
+    core: _core.Gate
 
     def __init__(
         self,
@@ -73,17 +82,16 @@ class Gate:
         self.core = self._make_core()
         self.motion = motion
 
-    def _make_core(self) -> Any:
+    def _make_core(self) -> _core.Gate:
         """Return the core's gate of this robot."""
-        return core.Gate(*self._parts())
-
-    def _parts(self) -> tuple[Any, ...]:
-        """Return what the core's gate is made of."""
-        tree = core_tree(self.hand)
         limits = encoded(self.limits)
+        return core.Gate(core_tree(self.hand), limits, *self._pairs())
+
+    def _pairs(self) -> tuple[_core.PairBounds | None, bytes | None]:
+        """Return the pairs that the core keeps apart, and how; None for none."""
         if self.collisions is None:
-            return tree, limits
-        return tree, limits, self.collisions.bounds.core, encoded(self.collisions.model)
+            return None, None
+        return self.collisions.bounds.core, encoded(self.collisions.model)
 
     @property
     def motion(self) -> Motion:
@@ -144,7 +152,7 @@ class Gate:
 
     def rows(
         self, when: When, lower: Array, upper: Array, margins: Array | None = None
-    ) -> Any:
+    ) -> _core.PosedRows | None:
         """Return the rows of a QP that is posed elsewhere; None if no shapes are kept apart.
 
         Args:
@@ -162,7 +170,7 @@ class Gate:
         wanted: Array,
         first: Array,
         when: When,
-        rows: Any = None,
+        rows: _core.PosedRows | None = None,
         around: Callable[[Rows], Array] | None = None,
     ) -> Array:
         """Move the robot by a displacement, or by another one that is admitted.
@@ -208,7 +216,11 @@ class Gate:
 class IkGate(Gate):
     """The gate of a hand that the core's QPs move, too."""
 
-    def _make_core(self) -> Any:
+    # Nothing else than `_make_core` sets it.
+    core: _core.Ik  # ty: ignore[incompatible-mutable-override]
+
+    def _make_core(self) -> _core.Ik:
         """Return the core's `Ik` of this hand, which is a gate."""
-        tree, *parts = self._parts()
-        return core.Ik(tree, encoded(ik_model(self.hand, self._options)), *parts)
+        options = encoded(ik_model(self.hand, self._options))
+        limits = encoded(self.limits)
+        return core.Ik(core_tree(self.hand), options, limits, *self._pairs())

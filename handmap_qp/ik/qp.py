@@ -389,7 +389,7 @@ class PointIk:
             return self._solve_here(goal)
         return self.result_of(self._solve_in_core(goal))
 
-    def _solve_in_core(self, goal: Goal) -> Any:
+    def _solve_in_core(self, goal: Goal) -> core.Step:
         """Return the core's step to the targets of one sample."""
         distances = []
         offsets = []
@@ -458,14 +458,14 @@ class PointIk:
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
         ):
-            total, step = go_on(total, rows and rows.behind(total))
+            total, step = go_on(total, rows.behind(total) if rows else None)
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        for _ in range(_LOOKS if rows else 0):
-            met = rows.at_end(total)
+        for _ in range(_LOOKS):
+            met = rows.at_end(total) if rows else None
             if met is None:
                 break
             total = first = around(met)

@@ -33,6 +33,7 @@ from .core import core
 from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:
+    from handmap_qp import _core
     from .motion import When
 
 _SHORTEST = 1e-9
@@ -149,7 +150,7 @@ class PointDistances:
         self.weights = _check_numbers(weights, len(indices), "weights")
 
     @cached_property
-    def core(self) -> Any:
+    def core(self) -> _core.PointDistances:
         """The core's own, without distances and weights."""
         return core.PointDistances(encode(self.model()))
 

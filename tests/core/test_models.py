@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -11,9 +12,14 @@ import pytest
 
 from handmap_qp import models
 from handmap_qp.hands import load_hand
-from handmap_qp.ik import core_tree
+from handmap_qp.hands.shape_pairs import all_pairs
+from handmap_qp.ik import IkOptions, core_tree
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.compiled import hand_model
 from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import box_limits
+from handmap_qp.ik.options import ik_model
+from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.models import Model, encode
 
 _HAND = load_hand("allegro_right")
@@ -101,28 +107,47 @@ def test_says_what_is_wrong_and_where(content: bytes, problem: str) -> None:
         _build(content)
 
 
-def test_no_part_of_a_model_is_one() -> None:
-    whole = _limits()
-    _build(whole)
-    for length in range(len(whole)):
-        with pytest.raises(ValueError, match="got"):
-            _build(whole[:length])
+def _models() -> dict[str, tuple[Callable[[bytes], object], bytes]]:
+    """Return a constructor of each model that is made of bytes alone, and its bytes."""
+    collisions = CollisionLimit(_HAND, all_pairs(_HAND))
+    task = robot_fingers(_HAND).distances
+    return {
+        "BoxLimits": (_build, _limits()),
+        "HandModel": (core.Tree, encode(hand_model(_HAND))),
+        "PairsModel": (core.PairBounds, encode(collisions.bounds.model())),
+        "DistancesModel": (core.PointDistances, encode(task.model())),
+        "IkModel": (
+            lambda content: core.Ik(core_tree(_HAND), content, _limits()),
+            encode(ik_model(_HAND, IkOptions())),
+        ),
+    }
 
 
-def test_no_damage_of_bytes_leads_out_of_them() -> None:
+@pytest.mark.parametrize("name", _models())
+def test_no_part_of_a_model_is_one(name: str) -> None:
+    make, whole = _models()[name]
+    make(whole)
+    for length in range(0, len(whole), 1 + len(whole) // 700):
+        with pytest.raises(ValueError, match=f"{name}.*got"):
+            make(whole[:length])
+
+
+@pytest.mark.parametrize("name", _models())
+def test_no_damage_of_bytes_leads_out_of_them(name: str) -> None:
     # Other numbers may be right. Others are refused, and none needs more memory than the bytes.
     numbers = np.random.default_rng(0)
-    whole = np.frombuffer(_limits(), np.uint8)
+    make, content = _models()[name]
+    whole = np.frombuffer(content, np.uint8)
     refused = 0
-    for _ in range(3000):
+    for _ in range(600):
         damaged = whole.copy()
-        places = numbers.integers(len(whole), size=numbers.integers(1, 4))
+        places = numbers.integers(len(whole), size=numbers.integers(1, 30))
         damaged[places] = numbers.choice([0, 1, 0x7F, 0x80, 0xC0, 0xC9, 0xDD, 0xFF])
         try:
-            _build(damaged.tobytes())
+            make(damaged.tobytes())
         except ValueError:
             refused += 1
-    assert 300 < refused < 3000
+    assert refused > 60
 
 
 def test_sizes_beyond_the_bytes_are_refused() -> None:

@@ -49,7 +49,7 @@ def avoiding_step(
 ) -> np.ndarray | None:
     """Return the step of the QP with the rows of all pairs, before the gate."""
     H, c, lower, upper = problem_of(ik, targets, None, dt)
-    near = limit.measure(ik.configuration.q)
+    near = limit.within(ik.configuration.q)
     rows = loosened(limit.rows(ik.configuration, near), lower, upper)
     return solve_by_daqp(H, c, lower, upper, rows)
 
@@ -75,7 +75,7 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
         dq = rng.normal(size=len(hand.active_columns))
         dq *= small / np.linalg.norm(dq)
         configuration.place(q)
-        G, h = limit.rows(configuration, limit.measure(q))
+        G, h = limit.rows(configuration, limit.within(q))
         free = limit.within(configuration.q).found[:, 0] - limit.margin
         np.testing.assert_allclose(h, 0.85 * free, atol=1e-8)
         distances = []
@@ -93,7 +93,7 @@ def test_moving_the_wrist_changes_no_distance() -> None:
     configuration = hand.configuration()
     configuration.place(hand.configuration_vector(hand.rest, np.eye(4)))
     limit = CollisionLimit(hand)
-    G, _ = limit.rows(configuration, limit.measure(configuration.q))
+    G, _ = limit.rows(configuration, limit.within(configuration.q))
     np.testing.assert_array_equal(G[:, :6], 0.0)
     assert (np.abs(G).max(axis=1) > 1e-3).all()
 
@@ -382,19 +382,15 @@ def test_the_block_is_optional(tmp_path: Path) -> None:
 
 def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
-    every, limit = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
+    every, limit = CollisionLimit(hand), CollisionLimit(hand)
     configuration = hand.configuration()
     margins = rng.uniform(0.0, 0.003, size=len(every.bounds.first))
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place(hand.configuration_vector(q))
-        within = np.flatnonzero(
-            every.within(configuration.q).found[:, 0] <= margins + 0.012
-        )
-        near = limit.measure(configuration.q, margins=margins)
-        assert set(within) <= set(near.pairs)
+        near = limit.within(configuration.q, margins + 0.012)
         assert len(near.pairs) < len(every.bounds.first)
-        G, h = every.rows(configuration, every.measure(configuration.q), margins)
+        G, h = every.rows(configuration, every.within(configuration.q), margins)
         some_G, some_h = limit.rows(configuration, near, margins)
         # GJK is warm-started, so both agree to its tolerance only.
         np.testing.assert_allclose(some_h, h[near.pairs], atol=1e-6)

@@ -240,6 +240,7 @@ def test_rows_serve_one_command() -> None:
     gate = ik.gate
     lower, upper = gate.bounds(0.01)
     rows = gate.rows(0.01, lower, upper)
+    assert rows is not None
     gate.brake(0.01)
     with pytest.raises(ValueError, match="another command"):
         rows.behind(np.zeros_like(lower))

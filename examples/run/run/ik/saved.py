@@ -8,7 +8,6 @@ from handmap_qp.ik import qp
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.models import encoded
 
 
 class PointIk(qp.PointIk):
@@ -39,12 +38,10 @@ class PointIk(qp.PointIk):
 
 
 class _SavedGate(IkGate):
-    """The gate of a saved hand, which has its own kinematics."""
+    """The gate of a saved hand, whose pairs are saved as bytes."""
 
-    def _parts(self) -> tuple[Any, ...]:
-        hand: Any = self.hand
+    def _pairs(self) -> Any:
         collisions: Any = self.collisions
-        limits = encoded(self.limits)
         if collisions is None:
-            return hand.tree, limits
-        return hand.tree, limits, collisions.core, collisions.model
+            return None, None
+        return collisions.core, collisions.model

@@ -1,0 +1,567 @@
+"""The compiled core (`handmap_qp/core`, C++), as Python sees it.
+
+Written by hand; `.ci/core_stub.py` compares it with the module. Models cross as
+their bytes (`handmap_qp.models.encode`). Arrays are of float64 and C-contiguous unless another type
+is named. What is taken as an `object` may be anything: where it is not plain numbers of the right
+shape, the answer is None, and Python looks at it.
+
+Raises:
+    ValueError: Of every call, if sizes or indices do not go together.
+    MapperBusyError: Of calls that work on an object on which another thread works.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handmap_qp.human.findings import FindingNumbers
+from handmap_qp.human.sample import VerdictNumbers
+from handmap_qp.ik.motion import When
+from handmap_qp.ik.qp import IkResult, Status
+from handmap_qp.mapping.method import CoreMap, RobotCommand, StepSummary, Targets
+from handmap_qp.se3 import Array
+
+_Made = TypeVar("_Made")
+
+SOURCES: str
+"""Fingerprint of the sources that it was compiled from."""
+
+def raise_if_busy(error: type[Exception]) -> None:
+    """Set what is raised where a thread enters an object on which another one works."""
+
+def model_fields() -> dict[str, list[tuple[str, str]]]:
+    """Return names and forms of the fields of each model."""
+
+# -- hands
+
+class Tree:
+    """The kinematics of a hand; made of a `HandModel`."""
+
+    def __init__(self, hand: bytes) -> None: ...
+    def moved(self, joints: Sequence[str], origins: Array, rolls: Array) -> Tree: ...
+    def points(self, q: Array) -> Array: ...
+    def points_on_links(
+        self, q: Array, links: Sequence[str], offsets: Array
+    ) -> Array: ...
+    def points_on_joints(
+        self, q: Array, joints: Sequence[int], offsets: Array
+    ) -> Array: ...
+    def joint_poses(self, q: Array) -> Array: ...
+    def posture(self, q: Array) -> tuple[Array, Array]: ...
+    def nearest_posture(
+        self, targets: Array, costs: Array, rest_cost: float, start: Array
+    ) -> Array: ...
+    def pinching_postures(
+        self,
+        usual: Ik,
+        joints: Sequence[int],
+        offsets: Array,
+        distances: Array,
+        weight: float,
+        dt: float,
+        samples: int,
+        tolerance: float,
+    ) -> Array: ...
+    def smallest_distances(
+        self, pairs: PairBounds, q: Array, starts: Sequence[int], most: float
+    ) -> Array: ...
+
+class PairBounds:
+    """Pairs of shapes that are kept apart; made of a `PairsModel`."""
+
+    def __init__(self, pairs: bytes) -> None: ...
+
+# -- the gate
+
+def loosened(
+    G: Array, h: Array, lower: Array, upper: Array, stopping: float, so_far: Array
+) -> Array: ...
+def braking_displacement(distance: float, change: float) -> float: ...
+
+class Gate:
+    """Admits the displacements of a robot; made of `BoxLimits` and a `CollisionModel`."""
+
+    def __init__(
+        self,
+        tree: Tree,
+        limits: bytes,
+        pairs: PairBounds | None = None,
+        collisions: bytes | None = None,
+    ) -> None: ...
+    @property
+    def held_by(self) -> int: ...
+    @property
+    def stamp(self) -> int: ...
+    @property
+    def commands(self) -> int: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def motion(self) -> tuple[Array, Array, float, Array, float]: ...
+    def set_motion(
+        self,
+        q: Array,
+        displacement: Array,
+        dt: float,
+        stop_times: Array,
+        time: float = 0.0,
+    ) -> None: ...
+    def follow(self, leader: Gate) -> None: ...
+    def interval(self, when: When) -> tuple[float, float, float]: ...
+    def bounds(self, when: When, share: float = 1.0) -> Array: ...
+    def advance(
+        self, goal: Array, when: When, share: float = 1.0, stops: bool = False
+    ) -> bool: ...
+    def admit(self, wanted: Array, first: Array, when: When) -> Array: ...
+    def brake(self, when: When) -> Array: ...
+
+class PosedRows:
+    """Rows of the next command, of a QP that is posed and solved elsewhere."""
+
+    def __init__(
+        self,
+        gate: Gate,
+        when: When,
+        lower: Array,
+        upper: Array,
+        margins: Array | None = None,
+    ) -> None: ...
+    def behind(self, so_far: Array) -> tuple[Array, Array]: ...
+    def at_end(self, displacement: Array) -> tuple[Array, Array] | None: ...
+    def admit(
+        self,
+        wanted: Array,
+        first: Array,
+        around: Callable[[tuple[Array, Array]], Array],
+    ) -> Array: ...
+    def pressed_pair(self, slope: Array, step: Array) -> int: ...
+
+# -- inverse kinematics
+
+class PointDistances:
+    """Pairs of points whose distances are asked for; made of a `DistancesModel`."""
+
+    def __init__(self, distances: bytes) -> None: ...
+
+Detour = tuple[Array | None, Array, Array, float, float]
+"""State of the detour of a hand, to go on with."""
+
+class Ik(Gate):
+    """Moves a robot by QPs, through its gate; made of an `IkModel` and as a `Gate` is."""
+
+    def __init__(
+        self,
+        tree: Tree,
+        options: bytes,
+        limits: bytes,
+        pairs: PairBounds | None = None,
+        collisions: bytes | None = None,
+    ) -> None: ...
+    @property
+    def costs(self) -> int: ...
+    @property
+    def detours(self) -> list[Detour]: ...
+    def go_on(self, detours: Sequence[Detour]) -> None: ...
+    def hold(self, when: When) -> Step: ...
+    def solve(
+        self,
+        points: Array,
+        wrists: Array | None,
+        postures: Sequence[tuple[float | Array, Array]],
+        when: When,
+        margins: Array | None = None,
+        speed: float = 1.0,
+        damping_shares: Array | None = None,
+        distances: Sequence[tuple[PointDistances, Array, Array]] = [],
+        offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = [],
+        rows: Callable[[Array], Sequence[tuple[Array, Array, Array | float]]]
+        | None = None,
+    ) -> Step:
+        """Move the robot; see `Goal`.
+
+        Args:
+            points: Targets of the reference points, shape (m, 3).
+            wrists: Targets of the wrists, shape (h, 4, 4).
+            postures: A weight, or one for each joint, and joint positions.
+            when: As of `Gate.interval`.
+            margins: Of each pair of shapes.
+            speed: Share of the speed limits.
+            damping_shares: Of each joint.
+            distances: Tasks with wanted distances and weights.
+            offsets: Joints and places of two points, the wanted offset, and its weight.
+            rows: Returns residual, Jacobian and damping of each task of Python in a configuration.
+        """
+    def solve_many(
+        self,
+        points: Array,
+        wrists: Array | None,
+        dt: Array,
+        speed: Array,
+        margins: Array | None,
+        postures: Sequence[tuple[float | Array, Array]],
+    ) -> Array: ...
+
+# -- samples of a human hand
+
+class HumanPose:
+    """A human hand at one instant; see `mapping.HumanPose`."""
+
+    def __init__(self, points: Array, wrist: Array | None) -> None: ...
+    @property
+    def points(self) -> Array: ...
+    @property
+    def in_wrist(self) -> Array: ...
+    @property
+    def wrist(self) -> Array | None: ...
+
+class Samples:
+    """The columns of a recording of T samples."""
+
+    def __init__(
+        self,
+        time: Array,
+        landmarks: Array,
+        valid: NDArray[np.bool_],
+        confidence: Array | None = None,
+        wrist: Array | None = None,
+    ) -> None: ...
+
+class LandmarkReader:
+    """Turns landmarks into samples; made of a `LandmarkReaderModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+    def read(self, landmarks: object, wrist: object) -> HumanPose | None: ...
+
+class JointReader:
+    """Turns joint angles into samples of a hand."""
+
+    def __init__(self, tree: Tree) -> None: ...
+    def read(self, q: object, wrist: object) -> HumanPose | None: ...
+
+# -- targets of a robot
+
+class TargetMap:
+    """Turns samples into targets, from a reference on."""
+
+class TeleoperationMap(TargetMap):
+    """Made of a `TeleoperationModel`, and of the `PalmModel` of a reference."""
+
+    def __init__(self, model: bytes, palm: bytes) -> None: ...
+
+class HomogeneousMap(TargetMap):
+    """Made of a `HomogeneousModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+
+# -- steps
+
+STATUSES: tuple[str, ...]
+"""Outcomes of a step, in the order of the numbers of a `StepTable`."""
+
+class Step:
+    """Where a robot has moved in one sample; see `IkResult`."""
+
+    @property
+    def status(self) -> Status: ...
+    @property
+    def points(self) -> Array: ...
+    @property
+    def targets(self) -> Array: ...
+    @property
+    def q(self) -> Array: ...
+    @property
+    def wrists(self) -> Array: ...
+    @property
+    def displacement(self) -> Array: ...
+    @property
+    def active(self) -> NDArray[np.int8]: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def last_step(self) -> float: ...
+    @property
+    def held_by(self) -> int:
+        """The pair of shapes that holds the robot back; -1 for none."""
+
+class StepViews:
+    """Makes the objects of a step that are asked for."""
+
+    def __init__(
+        self,
+        targets: Callable[[list[Array], bool], Targets],
+        ik: Callable[[Stages], IkResult],
+        command: Callable[[Array, Array], RobotCommand],
+        summary: Callable[
+            [list[float], tuple[float, float], list[bool], float, tuple[str, ...]],
+            StepSummary,
+        ],
+    ) -> None: ...
+
+class Stages(Step):
+    """The stages of a step; see `mapping.Stages`."""
+
+    @property
+    def pose(self) -> HumanPose: ...
+    @property
+    def asked(self) -> Targets: ...
+    @property
+    def ik(self) -> IkResult: ...
+    @property
+    def command(self) -> RobotCommand: ...
+    @property
+    def summary(self) -> StepSummary: ...
+
+class SampleReader(Generic[_Made]):
+    """Reads the samples after a reference; makes `Stages` of each, or an `Ask`."""
+
+    def follow(self, pose: HumanPose, when: When, speed: float) -> _Made: ...
+    @overload
+    def map(
+        self, reader: JointReader | None, q: object, wrist: object, when: object
+    ) -> tuple[_Made, float] | None: ...
+    @overload
+    def map(
+        self,
+        reader: LandmarkReader | None,
+        landmarks: object,
+        wrist: object,
+        when: object,
+    ) -> tuple[_Made, float] | None: ...
+    def map_sample(
+        self,
+        guard: StreamGuard,
+        smoother: Smoother,
+        reader: LandmarkReader,
+        time: float,
+        landmarks: object,
+        wrist: object,
+        valid: bool,
+        confidence: float,
+        when: object,
+        arrival: float | None,
+        origin: float | None,
+    ) -> tuple[VerdictNumbers, _Made | None, float] | None: ...
+
+class SampleMapper(SampleReader[Stages]):
+    """What a `HandMapper` does with the samples after its reference."""
+
+    def __init__(self, ik: Ik, target_map: TargetMap, views: StepViews) -> None: ...
+    def run(
+        self,
+        guard: StreamGuard,
+        smoother: Smoother,
+        reader: LandmarkReader,
+        origin: float,
+        samples: Samples,
+        first: int,
+        last: int,
+        rows: Array,
+    ) -> tuple[int, VerdictNumbers | None, HumanPose | None]: ...
+
+class Ask:
+    """What a hand of a person asks of a robot; see `mapping.mapper.Asked`."""
+
+    @property
+    def pose(self) -> HumanPose: ...
+    @property
+    def map(self) -> CoreMap: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def speed(self) -> float: ...
+    @property
+    def rest(self) -> Array: ...
+    @property
+    def targets(self) -> Targets: ...
+
+class Asker(SampleReader[Ask]):
+    """Lets a hand of a robot ask with each sample after its reference."""
+
+    def __init__(
+        self, ik: Ik, target_map: TargetMap, views: StepViews, source: CoreMap
+    ) -> None: ...
+
+class RobotMover:
+    """Moves a robot for what its hands ask; made of a `RobotModel`."""
+
+    def __init__(self, ik: Ik, model: bytes, views: StepViews) -> None: ...
+    def move(
+        self,
+        asks: Sequence[Ask],
+        since: Sequence[float],
+        worlds: Array | None,
+        when: When,
+    ) -> tuple[Stages, list[Stages]]: ...
+
+# -- what judges and smooths a stream
+
+RULES: tuple[str, ...]
+MISTAKES: tuple[str, ...]
+BONES: tuple[tuple[int, int], ...]
+NEIGHBOURS: tuple[tuple[int, int], ...]
+LONGEST_STEP: float
+BEHIND: float
+GAP: float
+FROZEN_AFTER: float
+SETTLE_TIME: float
+UNPROVEN_SPEED: float
+PALM_RATIOS: tuple[float, float]
+HAND_LENGTHS: tuple[float, float]
+SAMPLE_STEPS: tuple[float, float]
+BACKWARDS: float
+SURE_SIDE: float
+RESIZED: float
+FIRST_SIZES: int
+WRIST_CONVENTIONS: Array
+
+class SampleClock:
+    """State of a stream's clock after a sample."""
+
+    def __init__(self) -> None: ...
+    def advance(self, stamp: float) -> SampleClock: ...
+    def at(self, stamp: float) -> SampleClock: ...
+    @property
+    def period(self) -> float: ...
+    @property
+    def late_count(self) -> int: ...
+    @property
+    def rule(self) -> str: ...
+    @property
+    def elapsed(self) -> float: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def passed(self) -> float: ...
+    @property
+    def is_idle(self) -> bool: ...
+    @property
+    def is_set_back(self) -> bool: ...
+    @property
+    def shortest(self) -> float: ...
+
+class ArrivalCredit:
+    """Time that the next samples may account for, by the times at which they arrive."""
+
+    def __init__(self) -> None: ...
+    def spend(self, dt: float, arrival: float) -> tuple[ArrivalCredit, float]: ...
+
+class RateCheck:
+    """Compares the time of a stream with the time at which its samples arrive."""
+
+    def __init__(self) -> None: ...
+    def grant(self, dt: float, arrival: float) -> float: ...
+    def update(self, stamp: float, arrival: float) -> float | None: ...
+
+class Track:
+    """A sample, and the motion that led to it."""
+
+    def __init__(self, time: float, landmarks: Array) -> None: ...
+    @property
+    def velocity(self) -> Array: ...
+    @property
+    def turning(self) -> Array: ...
+    @property
+    def bending(self) -> Array: ...
+
+class Change:
+    """The motion from a track to a sample."""
+
+    @property
+    def track(self) -> Track: ...
+    @property
+    def sizes(self) -> Array: ...
+    @property
+    def noise(self) -> float: ...
+    @property
+    def is_mirrored(self) -> bool: ...
+    @property
+    def is_alone(self) -> bool: ...
+
+def change_between(track: Track, sample: Track, dt: float) -> Change: ...
+
+class LandmarkOrders:
+    """Orders in which landmarks may come; ours comes first."""
+
+    def __init__(self, orders: Sequence[Sequence[int]]) -> None: ...
+
+class InputCheck:
+    """Tells wrong input from a human hand."""
+
+    def __init__(self, side: str, orders: LandmarkOrders) -> None: ...
+    def save(self) -> bytes: ...
+    def restore(self, saved: bytes) -> None: ...
+    def update(
+        self, time: float, landmarks: Array, wrist: Array | None = None
+    ) -> FindingNumbers | None: ...
+    def alert(self) -> None: ...
+    def finish(self) -> FindingNumbers | None: ...
+    def examine(self, samples: Samples) -> FindingNumbers | None: ...
+    def finding(self) -> FindingNumbers | None: ...
+    def is_wrist_proven(self) -> bool: ...
+
+class StreamGuard:
+    """Judges the samples of one hand; made of a `GuardModel`."""
+
+    def __init__(self, model: bytes, orders: LandmarkOrders) -> None: ...
+    def save(self) -> tuple[bytes, bytes, bytes]: ...
+    def restore(self, saved: tuple[bytes, bytes, bytes]) -> None: ...
+    def forget(self) -> None: ...
+    def check(
+        self,
+        time: float,
+        landmarks: Array,
+        wrist: Array | None,
+        valid: bool,
+        confidence: float,
+        arrival: float | None,
+    ) -> VerdictNumbers: ...
+    def holds(self, samples: Samples) -> NDArray[np.bool_]: ...
+
+class Smoother:
+    """Smooths the samples of one hand as much as they are noisy."""
+
+    def __init__(self, acceleration: float | None, speed_gain: float) -> None: ...
+    def save(self) -> tuple[int, bool, Array]: ...
+    def restore(self, saved: tuple[int, bool, Array]) -> None: ...
+    def smooth(self, pose: HumanPose, dt: float) -> HumanPose: ...
+    def wait(self, dt: float) -> None: ...
+    def restart(self) -> None: ...
+    def forget(self) -> None: ...
+
+# -- measures
+
+def measure_shape(
+    landmarks: Array, palm: Array, largest_roll: float
+) -> tuple[Array, Array, float]: ...
+def log3(rotation: Array) -> Array: ...
+def exp3(turn: Array) -> Array: ...
+def quat_xyzw(rotation: Array) -> Array: ...
+def smallest_gap(
+    time: Array, landmarks: Array, median_time: float, percentile: float
+) -> float: ...
+def log_size(landmarks: Array) -> float: ...
+def misfit(landmarks: Array) -> float: ...
+def palmar_evidence(landmarks: Array) -> Array: ...
+def palm_axes(landmarks: Array, sign: float) -> Array: ...
+def measure_episode(
+    samples: Samples,
+    followed: NDArray[np.bool_],
+    point_error: Array,
+    at_limit: NDArray[np.bool_],
+    at_speed_limit: NDArray[np.bool_],
+    q: Array,
+) -> dict[str, float]: ...
+def solve_qp(
+    H: Array,
+    c: Array,
+    lower: Array,
+    upper: Array,
+    G: Array | None = None,
+    h: Array | None = None,
+) -> tuple[bool, Array, int]: ...
+def measure_shapes(
+    a: bytes, pose_a: Array, b: bytes, pose_b: Array
+) -> tuple[float, tuple[float, float, float], tuple[float, float, float]]:
+    """Return distance, normal, and the nearest point of the first of two `ShapeModel`."""
