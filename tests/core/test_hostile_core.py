@@ -266,7 +266,6 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.loosened,
             (np.ones((2, 3)), np.ones(2), -np.ones(3), np.ones(3), 0.0, np.zeros(3)),
         ),
-        "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
             (tree, encode(ik_model(ik.hand, ik.options)), *parts),
