@@ -78,7 +78,6 @@ class PairBounds:
 def loosened(
     G: Array, h: Array, lower: Array, upper: Array, stopping: float, so_far: Array
 ) -> Array: ...
-def braking_displacement(distance: float, change: float) -> float: ...
 
 class Gate:
     """Admits the displacements of a robot; made of `BoxLimits` and a `CollisionModel`."""

@@ -174,7 +174,6 @@ NumpyArray loosened(const Array& G, const Array& h, const Array& lower, const Ar
 
 void bind_gate(nb::module_& m) {
   m.def("loosened", &loosened, "G"_a, "h"_a, "lower"_a, "upper"_a, "stopping"_a, "so_far"_a);
-  m.def("braking_displacement", &BoxLimits::braking_displacement, "distance"_a, "change"_a);
   nb::class_<Gate>(m, "Gate")
       .def("__init__", &make_gate, "tree"_a, "limits"_a,
            "pairs"_a.none() = nb::none(), "collisions"_a.none() = nb::none())

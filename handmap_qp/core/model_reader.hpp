@@ -316,6 +316,9 @@ class ModelReader {
     std::string_view data;
   };
 
+  // Largest axis of an array without elements.
+  static constexpr size_t kLargestEmpty = 1 << 16;
+
   static std::string form_of(const Numbers& numbers) {
     std::string form = numbers.kind == "<f8" ? "floats" : numbers.kind == "|b1" ? "flags" : "integers";
     form += " (";
@@ -347,8 +350,10 @@ class ModelReader {
     for (size_t i = 0; i < axes; ++i) {
       const std::int64_t length = inside.integer(expected);
       if (length < 0) fail(expected, "a negative size");
-      // No axis, nor their product, has more elements than there are bytes.
-      const bool is_right = static_cast<std::uint64_t>(length) <= *size / std::max<size_t>(total, 1);
+      // No axis, nor their product, has more elements than there are bytes. Behind an axis without
+      // elements, others have none either, whatever they say.
+      const size_t most = total > 0 ? *size / total : kLargestEmpty;
+      const bool is_right = static_cast<std::uint64_t>(length) <= most;
       if (!is_right) fail(expected, "an array of another size than it says");
       found.shape.push_back(static_cast<size_t>(length));
       total *= found.shape.back();

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, PointSpec
 from handmap_qp.models import (
     FrameModel,
     HandModel,
@@ -36,9 +36,15 @@ def core_tree(hand: Hand) -> core.Tree:
     """
     if hand.unscaled:
         origins, rolls = zip(*hand.moves.values(), strict=True)
-        standard = core_tree(hand.unscaled)
+        standard = core_tree(_standard_hand(hand.unscaled, hand.reference_points))
         return standard.moved([*hand.moves], np.array(origins), np.array(rolls))
     return core.Tree(encode(hand_model(hand)))
+
+
+@lru_cache(maxsize=16)
+def _standard_hand(hand: Hand, points: tuple[PointSpec, ...]) -> Hand:
+    """Return a hand that is not scaled, with the reference points of one that is."""
+    return hand.with_points(points)
 
 
 def hand_model(hand: Hand) -> HandModel:

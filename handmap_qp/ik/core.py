@@ -46,8 +46,6 @@ def _installing() -> str:
 
 if TYPE_CHECKING:
     from handmap_qp import _core as core
-elif __package__:
-    core = load_core()
 else:
-    # A build runs this file by itself, for `fingerprint`.
-    core = None
+    # None where a build runs this file by itself, for `fingerprint`.
+    core = load_core() if __package__ else None

@@ -137,10 +137,11 @@ def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
+    from handmap_qp.hands.collision_shapes import shape_model
     from handmap_qp.human.recording import sample_columns
     from handmap_qp.ik import core_tree
-    from handmap_qp.mapping.method import step_views
-    from handmap_qp.stream.step_table import StepTable
+    from handmap_qp.ik.compiled import hand_model
+    from handmap_qp.ik.options import ik_model
 
     recording = read_recording("demo", "right").part(slice(0, 60))
     columns = sample_columns(recording)
@@ -152,24 +153,45 @@ def calls_of(core: Any) -> dict[str, Call]:
     for each in (mapper, teleoperated):
         each.map_landmarks(recording.landmarks[0])
     follower.map_sample(columns.sample(0))
-    joints = load_hand("human")
     ik = teleoperated.point_ik
+    robot = ik.hand
+    gate, tree = ik.gate, core_tree(robot)
+    assert gate.collisions is not None
+    bounds = gate.collisions.bounds
     points = ik.configuration.points
+    motion = gate.motion
     wrist = np.eye(4)
     dt = 1.0 / 60.0
-    sample = columns.sample(1)
-    pose = mapper.landmarks.read(sample.landmarks)[0]
-    guard: Any = follower._guard
-    smoother: Any = follower._smoother
-    own_map: Any = mapper.target_map
-    reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
-    table = StepTable(mapper.robot, len(columns.time))
-    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
-    judged = sample.time, sample.landmarks, None, True, 1.0
-    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
-    in_core = mapper.core
-    palm = encode(teleoperation.palm_model())
+    task = teleoperation.method.distances
+    aims = np.ones(len(task.first))
+    size = gate.limits.size
+    goal = (
+        points,
+        wrist[None],
+        ik.postures(dt, None),
+        dt,
+        None,
+        1.0,
+        np.ones(len(robot.joint_names)),
+        [(task.core, aims, aims)],
+        [([1, 5], np.zeros((2, 3)), np.zeros(3), 1.0)],
+        lambda q: [(np.ones(2), np.ones((2, size)), np.ones(size))],
+    )
+    shapes = [
+        encode(shape_model(each.geometry))
+        for each in bounds.geometry.geometryObjects[:2]
+    ]
+    parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
+    solver = ik.core
+    still = np.zeros(gate.limits.size)
+
+    def posed() -> Any:
+        """Return the rows of the next command: those of a former one are refused."""
+        return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
+
+    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
+    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
     calls: dict[str, Call] = {
         "measure_shape": (
             core.measure_shape,
@@ -188,111 +210,6 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.solve_qp,
             (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
         ),
-        "HumanPose": (core.HumanPose, (points, wrist)),
-        "StepViews": (core.StepViews, (list, list, list, list)),
-        "SampleMapper": (
-            core.SampleMapper,
-            (mapper.point_ik.core, own_map.make_core(), views),
-        ),
-        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
-        "Asker": (
-            core.Asker,
-            (mapper.point_ik.core, own_map.make_core(), views, own_map),
-        ),
-        "SampleMapper.map": (
-            in_core.map,
-            (reader, sample.landmarks, None, dt),
-        ),
-        "SampleMapper.map_sample": (
-            in_core.map_sample,
-            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
-        ),
-        "SampleMapper.run": (
-            in_core.run,
-            (
-                guard.core,
-                smoother.core,
-                reader,
-                0.0,
-                samples,
-                2,
-                9,
-                table.rows,
-            ),
-        ),
-        "TeleoperationMap": (
-            core.TeleoperationMap,
-            (encode(teleoperation.model), palm),
-        ),
-        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
-        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
-        "LandmarkReader.read": (
-            reader.read,
-            (sample.landmarks, wrist),
-        ),
-        "JointReader": (core.JointReader, (core_tree(joints),)),
-        "JointReader.read": (
-            core.JointReader(core_tree(joints)).read,
-            (joints.rest, wrist),
-        ),
-    }
-    return (
-        calls
-        | hand_calls(core, ik, teleoperation.method.distances, human)
-        | stream_calls(core, follower, columns)
-        | robot_calls(core, recording.landmarks[0], views)
-    )
-
-
-def hand_calls(core: Any, ik: Any, task: Any, human: Any) -> dict[str, Call]:
-    """Return calls of what moves a hand.
-
-    Args:
-        core: The core.
-        ik: Moves a robot hand whose links are kept apart.
-        task: Distances of points of that hand.
-        human: A human hand that is not scaled.
-    """
-    from handmap_qp.hands.collision_shapes import shape_model
-    from handmap_qp.ik import core_tree
-    from handmap_qp.ik.compiled import hand_model
-    from handmap_qp.ik.options import ik_model
-
-    robot, gate, solver = ik.hand, ik.gate, ik.core
-    tree = core_tree(robot)
-    bounds = gate.collisions.bounds
-    points = ik.configuration.points
-    motion = gate.motion
-    wrist = np.eye(4)
-    dt = 1.0 / 60.0
-    still = np.zeros(gate.limits.size)
-    aims = np.ones(len(task.first))
-    size = len(still)
-    goal = (
-        points,
-        wrist[None],
-        ik.postures(dt, None),
-        dt,
-        None,
-        1.0,
-        np.ones(len(robot.joint_names)),
-        [(task.core, aims, aims)],
-        [([1, 5], np.zeros((2, 3)), np.zeros(3), 1.0)],
-        lambda q: [(np.ones(2), np.ones((2, size)), np.ones(size))],
-    )
-    shapes = [
-        encode(shape_model(each.geometry))
-        for each in bounds.geometry.geometryObjects[:2]
-    ]
-    parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
-
-    def posed() -> Any:
-        """Return the rows of the next command: those of a former one are refused."""
-        return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
-
-    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
-    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    return {
         "measure_shapes": (
             core.measure_shapes,
             (*shapes[:1], wrist, *shapes[1:], 2.0 * wrist),
@@ -349,7 +266,6 @@ def hand_calls(core: Any, ik: Any, task: Any, human: Any) -> dict[str, Call]:
             core.loosened,
             (np.ones((2, 3)), np.ones(2), -np.ones(3), np.ones(3), 0.0, np.zeros(3)),
         ),
-        "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
             (tree, encode(ik_model(ik.hand, ik.options)), *parts),
@@ -359,6 +275,12 @@ def hand_calls(core: Any, ik: Any, task: Any, human: Any) -> dict[str, Call]:
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
     }
+    return (
+        calls
+        | stream_calls(core, follower, columns)
+        | sample_calls(core, follower, teleoperated.target_map, columns)
+        | robot_calls(core, recording.landmarks[0])
+    )
 
 
 def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
@@ -372,7 +294,7 @@ def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
     wrists = np.tile(wrist, (60, 1, 1))
     sample = columns.sample(1)
     judged = sample.time, sample.landmarks, None, True, 1.0
-    pose = follower.mapper.landmarks.read(sample.landmarks)[0]
+    pose = core.HumanPose(sample.landmarks, wrist)
     given = columns.time, columns.landmarks, columns.valid, np.ones(60), wrists
     samples = core.Samples(*given)
     valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
@@ -416,12 +338,86 @@ def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
     }
 
 
-def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
+def sample_calls(
+    core: Any, follower: Any, teleoperation: Any, columns: Any
+) -> dict[str, Call]:
+    """Return calls of what maps samples: a follower of one map, and another map."""
+    from handmap_qp import load_hand
+    from handmap_qp.ik import core_tree
+    from handmap_qp.mapping.method import step_views
+    from handmap_qp.stream.step_table import StepTable
+
+    mapper = follower.mapper
+    guard, smoother, reader = follower._guard, follower._smoother, mapper.landmarks.core
+    own_map, in_core = mapper.target_map, mapper.core
+    wrist, dt = np.eye(4), 1.0 / 60.0
+    sample = columns.sample(1)
+    points = sample.landmarks
+    pose = reader.read(points, None)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
+    table = StepTable(mapper.robot, len(columns.time))
+    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    palm = encode(teleoperation.palm_model())
+    joints = load_hand("human")
+    return {
+        "HumanPose": (core.HumanPose, (points, wrist)),
+        "StepViews": (core.StepViews, (list, list, list, list)),
+        "SampleMapper": (
+            core.SampleMapper,
+            (mapper.point_ik.core, own_map.make_core(), views),
+        ),
+        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "Asker": (
+            core.Asker,
+            (mapper.point_ik.core, own_map.make_core(), views, own_map),
+        ),
+        "SampleMapper.map": (
+            in_core.map,
+            (reader, sample.landmarks, None, dt),
+        ),
+        "SampleMapper.map_sample": (
+            in_core.map_sample,
+            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
+        ),
+        "SampleMapper.run": (
+            in_core.run,
+            (
+                guard.core,
+                smoother.core,
+                reader,
+                0.0,
+                samples,
+                2,
+                9,
+                table.rows,
+            ),
+        ),
+        "TeleoperationMap": (
+            core.TeleoperationMap,
+            (encode(teleoperation.model), palm),
+        ),
+        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
+        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
+        "LandmarkReader.read": (
+            reader.read,
+            (sample.landmarks, wrist),
+        ),
+        "JointReader": (core.JointReader, (core_tree(joints),)),
+        "JointReader.read": (
+            core.JointReader(core_tree(joints)).read,
+            (joints.rest, wrist),
+        ),
+    }
+
+
+def robot_calls(core: Any, right: np.ndarray) -> dict[str, Call]:
     """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
     from handmap_qp.hands.robot import load_robot
     from handmap_qp.mapping.robot_mapper import RobotMapper
 
     mapper = RobotMapper(load_robot("g1"))
+    views = core.StepViews(list, list, list, list)
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
     asks = [leader.asked for leader in mapper.leaders.values()]

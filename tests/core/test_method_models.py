@@ -9,7 +9,9 @@ import pytest
 from msgspec import structs
 
 from handmap_qp import HandMapper, load_hand
+from handmap_qp.hands import HumanLengths
 from handmap_qp.hands.robot import load_robot
+from handmap_qp.ik import core_tree
 from handmap_qp.ik.core import core
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
@@ -19,7 +21,8 @@ from handmap_qp.mapping.methods.teleoperation import (
     TeleoperationMap,
 )
 from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.models import GuardModel, LandmarkReaderModel, encode
+from handmap_qp.models import GuardModel, LandmarkReaderModel, PairsModel, encode
+from handmap_qp.se3 import inverse_pose, transform_points
 from handmap_qp.trackers.plausibility import known_orders
 
 HUMAN = load_hand("human", points="landmarks")
@@ -129,6 +132,28 @@ def test_a_map_of_another_hand_moves_none() -> None:
     solver = HandMapper(HUMAN, ALLEGRO, "teleoperation").point_ik.core
     with pytest.raises(ValueError, match="points of another hand"):
         core.SampleMapper(solver, away, VIEWS)
+
+
+def test_a_model_may_have_arrays_without_rows() -> None:
+    # A hand whose shapes never meet has no pairs, of as many coordinates as its array has bytes.
+    none = np.zeros(0, dtype=int)
+    levers = np.zeros((0, 60))
+    pairs = PairsModel(
+        bodies=(), first=none, second=none, levers=levers, turns=levers, signs=levers
+    )
+    core.PairBounds(encode(pairs))
+    with pytest.raises(ValueError, match=r"PairsModel\.levers"):
+        core.PairBounds(encode(structs.replace(pairs, levers=np.zeros((0, 2**40)))))
+
+
+def test_a_hand_scaled_before_it_was_given_points_has_those() -> None:
+    lengths = HumanLengths.from_hand_length(0.2)
+    human = HUMAN.with_lengths(lengths).with_points("joints")
+    in_palm = core_tree(human).points(human.rest[None])
+    assert len(in_palm) == len(human.reference_points) != len(HUMAN.reference_points)
+    palm = human.frame_pose("palm", human.rest)
+    expected = transform_points(inverse_pose(palm), human.points(human.rest))
+    np.testing.assert_allclose(in_palm, expected, atol=1e-12)
 
 
 def test_models_of_a_person_are_checked() -> None:
