@@ -242,6 +242,8 @@ def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(
     for start, share, is_refused in (
         (2.0, 0.1, False),
         (0.0, 0.15, False),
+        (2.0, 0.2, False),
+        (2.0, 0.36, True),
         (2.0, 0.6, True),
     ):
         wrong = (whole.time > start) & (whole.time < start + 6.0 * share)
