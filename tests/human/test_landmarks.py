@@ -324,6 +324,7 @@ def test_a_finger_that_changes_its_side_at_90_degrees_is_not_caught_there(
     hand = load_hand("human", points="landmarks")
     abduction = hand.joint_names.index("little_MCP_abduction")
     fitter = LandmarkFitter("right")
+    q = fitted = hand.rest
     for share in np.linspace(0.0, 1.0, 9):
         q = hand.rest.copy()
         q[abduction] = spread[int(share >= 0.5)]
