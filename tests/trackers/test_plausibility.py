@@ -369,6 +369,20 @@ def test_middle_joints_bent_backwards_are_a_mistake_unless_fingers_curled_before
     assert kinds == ({None} if curls else {None, "flexion"})
 
 
+@pytest.mark.parametrize(("deviation", "is_hand"), [(0.010, True), (0.012, False)])
+@pytest.mark.parametrize("seed", range(3))
+def test_landmarks_that_lie_more_than_10_mm_off_are_no_hand(
+    seed: int, deviation: float, is_hand: bool
+) -> None:
+    recording = read_recording("demo", "right").part(slice(0, 120))
+    wrong = np.random.default_rng(seed).normal(0.0, deviation, (21, 3))
+    check = InputCheck("right")
+    found = None
+    for time, landmarks in zip(recording.time, recording.landmarks, strict=True):
+        found = found or check.update(float(time), landmarks + wrong)
+    assert (found is None) is is_hand
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_in_depth_is_no_other_order(lies: ModuleType, seed: int) -> None:
     take = lies.model_take("right", 0.185, seed, duration=6.0)
