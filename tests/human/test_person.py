@@ -254,6 +254,9 @@ def test_a_knuckle_that_moves_on_the_palm_has_less_weight_there() -> None:
     weights = measure_person(cupped(0.008)).lengths.palm_weights
     np.testing.assert_array_equal(weights[:4], 1.0)
     assert weights[4] < 0.05
+    # A millimetre leaves a third.
+    weights = measure_person(cupped(0.001)).lengths.palm_weights
+    assert weights[4] == pytest.approx(0.32, abs=0.1)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])

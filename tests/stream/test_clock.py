@@ -49,6 +49,19 @@ def test_increasing_stamps_are_ordinary_and_their_time_is_granted(
     assert (granted >= np.minimum(differences, LONGEST_STEP * 2e-3)).all()
 
 
+@pytest.mark.parametrize(
+    ("pause", "rule", "periods"),
+    [(1.0 / 30.0, "", 2.0), (0.24, "", 3.0), (0.26, "gap", 1.0)],
+)
+def test_a_pause_is_granted_three_periods_and_beyond_a_quarter_of_a_second_one(
+    pause: float, rule: str, periods: float
+) -> None:
+    *_, clock = run([0.0, pause])
+    assert clock.rule == rule
+    # Before anything else is known, samples come at 60 Hz.
+    assert clock.dt == pytest.approx(periods / 60.0)
+
+
 @given(stamps=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40))
 def test_no_stamp_grants_more_than_the_longest_step_or_less_than_nothing(
     stamps: list[float],

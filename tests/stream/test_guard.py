@@ -71,6 +71,20 @@ def test_a_moving_hand_breaks_no_rule() -> None:
     )
 
 
+@pytest.mark.parametrize(("other", "rule"), [(0.36, "outlier"), (0.75, "jump")])
+def test_a_landmark_three_times_as_fast_as_the_next_one_leaves_its_place_alone(
+    other: float, rule: Rule
+) -> None:
+    """Two fingertips turn about their last joints: one by 90 degrees, another by less."""
+    joints = [HUMAN.joint_names.index(f"{f}_DIP_flexion") for f in ("index", "middle")]
+    still = HUMAN.points(HUMAN.rest)
+    q = HUMAN.rest.copy()
+    q[joints] += 1.6, other
+    samples = [HumanSample(0.01 * i, "right", still + 1e-6 * i) for i in range(600)]
+    samples.append(HumanSample(6.0, "right", HUMAN.points(q)))
+    assert judged(samples)[-1].rule == rule
+
+
 FAULTS: dict[str, Rule] = {
     "dropout@2+0.3": "missing",
     "zero@2+0.3": "zero",

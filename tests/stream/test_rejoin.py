@@ -283,6 +283,8 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
         rules.append(step.rule)
     speeds = np.diff(np.array(q), axis=0) * RATE
     shares = np.abs(speeds / robot.velocity_limits).max(axis=1)
+    # docs/faults.md promises a quarter of the speed limits.
+    assert UNPROVEN_SPEED == 0.25
     is_slow = np.array(rules[1:]) == "unproven"
     assert is_slow[:60].all()
     assert shares[is_slow].max() <= UNPROVEN_SPEED * (1.0 + 1e-9)

@@ -242,6 +242,8 @@ def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(
     for start, share, is_refused in (
         (2.0, 0.1, False),
         (0.0, 0.15, False),
+        (2.0, 0.2, False),
+        (2.0, 0.36, True),
         (2.0, 0.6, True),
     ):
         wrong = (whole.time > start) & (whole.time < start + 6.0 * share)
@@ -365,6 +367,20 @@ def test_middle_joints_bent_backwards_are_a_mistake_unless_fingers_curled_before
         finding = check.update(i / 60.0, sample)
         kinds.add(finding and finding.kind)
     assert kinds == ({None} if curls else {None, "flexion"})
+
+
+@pytest.mark.parametrize(("deviation", "is_hand"), [(0.010, True), (0.012, False)])
+@pytest.mark.parametrize("seed", range(3))
+def test_landmarks_that_lie_more_than_10_mm_off_are_no_hand(
+    seed: int, deviation: float, is_hand: bool
+) -> None:
+    recording = read_recording("demo", "right").part(slice(0, 120))
+    wrong = np.random.default_rng(seed).normal(0.0, deviation, (21, 3))
+    check = InputCheck("right")
+    found = None
+    for time, landmarks in zip(recording.time, recording.landmarks, strict=True):
+        found = found or check.update(float(time), landmarks + wrong)
+    assert (found is None) is is_hand
 
 
 @pytest.mark.parametrize("seed", range(3))
