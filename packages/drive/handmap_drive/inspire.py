@@ -186,6 +186,9 @@ class Inspire(TableDriver):
                 at, device_id=self._table.address, **more
             )
         except self._refusals.ConnectionException as error:
+            if self._client.is_socket_open():
+                # pyserial counts the time in which this process did not run as a failed write.
+                raise _NoAnswerError(f"register {at}: not sent in time") from error
             raise OSError(f"{self._port_name} is gone, or cannot be opened") from error
         except self._refusals.ModbusException as error:
             raise _NoAnswerError(f"register {at}: no answer") from error
