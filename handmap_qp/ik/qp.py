@@ -40,6 +40,7 @@ from .tasks import (
 )
 
 if TYPE_CHECKING:
+    from handmap_qp import _core
     from handmap_qp.hands import ShapePairs
     from .collision import Rows
 
@@ -291,7 +292,7 @@ class PointIk:
         options: IkOptions,
         motion: Motion | None = None,
         contacts: ShapePairs | None = None,
-        detours: list[Any] | None = None,
+        detours: Sequence[_core.Detour] | None = None,
     ) -> None:
         expect(isinstance(options, IkOptions), "ik", "an IkOptions", value=options)
         self.hand = hand
