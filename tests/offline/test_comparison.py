@@ -13,7 +13,7 @@ import pytest
 from comparison_cases import write_closing
 from scipy.spatial.transform import Rotation
 
-import handmap_qp
+from handmap_qp.apps.offline import comparison
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
@@ -311,7 +311,8 @@ def test_the_peers_program_is_found_without_being_named(
     assert is_peer("dexi-dexpilot")
     assert not any(map(is_peer, own_methods()))
     package = tmp_path / "handmap_qp"
-    monkeypatch.setattr(handmap_qp, "__file__", str(package / "__init__.py"))
+    file = package / "apps" / "offline" / "comparison.py"
+    monkeypatch.setattr(comparison, "__file__", str(file))
     assert peers_program() == package / "outside" / "peers"
 
 

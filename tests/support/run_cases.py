@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import shutil
@@ -68,26 +69,31 @@ def module_of(file: Path) -> ModuleType:
 def build_core() -> Path:
     """Return the core of `handmap_run`, compiled if there is none of these sources (15 s).
 
-    Without optimization, which takes twice as long: it maps the same, slower.
+    Without optimization, which takes twice as long: it maps the same, slower. Of several processes
+    of a run of tests, one compiles and the others wait.
     """
     folder = _BUILT / f"{sys.implementation.cache_tag}-{fingerprint()}"
-    if not (found := [*folder.glob("_core*.so")]):
-        words = ["cmake", "-S", str(ROOT / "handmap_qp" / "core"), "-B", str(folder)]
-        choices = {
-            "CMAKE_BUILD_TYPE": "Release",
-            "CMAKE_CXX_FLAGS_RELEASE": "-O0 -DNDEBUG",
-            "HANDMAP_PACKAGE": "handmap_run",
-            "Python_EXECUTABLE": sys.executable,
-        }
-        words += [
-            "-G",
-            "Ninja",
-            *(f"-D{name}={value}" for name, value in choices.items()),
-        ]
-        for each in (words, ["cmake", "--build", str(folder)]):
-            subprocess.run(each, check=True, capture_output=True)
-        found = [*folder.glob("_core*.so")]
-    return found[0]
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "built").exists():
+            compile_core(folder)
+            (folder / "built").touch()
+    return next(folder.glob("_core*.so"))
+
+
+def compile_core(folder: Path) -> None:
+    """Compile the core of `handmap_run` in a folder."""
+    words = ["cmake", "-S", str(ROOT / "handmap_qp" / "core"), "-B", str(folder)]
+    choices = {
+        "CMAKE_BUILD_TYPE": "Release",
+        "CMAKE_CXX_FLAGS_RELEASE": "-O0 -DNDEBUG",
+        "HANDMAP_PACKAGE": "handmap_run",
+        "Python_EXECUTABLE": sys.executable,
+    }
+    words += ["-G", "Ninja", *(f"-D{name}={value}" for name, value in choices.items())]
+    for each in (words, ["cmake", "--build", str(folder)]):
+        subprocess.run(each, check=True, capture_output=True)
 
 
 def write_package(folder: Path) -> Path:
