@@ -23,11 +23,11 @@ class GuessedQp {
   bool solve(int n, const double* H, const double* c, const double* lower, const double* upper,
              int rows, const double* G, const double* h, const std::vector<signed char>& guess,
              bool has_other_rows = false) {
-    constexpr int kTries = 3;
+    constexpr int kGuesses = 3;
     problem_ = {n, H, c, lower, upper, rows, G, h};
     if (!has_other_rows) factored_.clear();
     fixed_ = guess;
-    for (int i = 0; i < kTries; ++i) {
+    for (int i = 0; i < kGuesses; ++i) {
       if (std::count(fixed_.begin(), fixed_.end(), 0) == n) break;
       if (!solve_rest()) break;
       if (!free_wrong()) return true;

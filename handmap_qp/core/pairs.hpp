@@ -12,12 +12,21 @@
 
 namespace handmap {
 
+// Pairs do not come nearer than this, or than they are at the start, where a path is measured; and not
+// nearer than half of it between [m].
 constexpr double kKept = 2e-4;
+// Points of a path that are measured, at most; a path that needs more counts as not clear.
 constexpr int kMostPoints = 30;
+// Part of the free distance that one step may use.
 constexpr double kGain = 0.85;
+// A pair has come nearer if its distance is shorter by this [m].
 constexpr double kNearer = 1e-6;
+// With a horizon, pairs get rows up to this distance beyond their margin [m], and as much farther as they
+// approach in a sample at this speed [m/s].
 constexpr double kNear = 0.001, kApproach = 0.5;
+// Share of the last displacement's travel by which a pair is expected to come nearer.
 constexpr double kExpected = 0.25;
+// Distance that pairs keep which met on a displacement, where it is planned again [m].
 constexpr double kCleared = 5e-4;
 
 // One number for some coordinates of the tangent space.

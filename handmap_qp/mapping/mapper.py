@@ -185,21 +185,21 @@ class Mover:
 
     def engage(self) -> None:
         """Engage the robot: the next sample is the reference; it continues from where it is."""
-        self.clutch()
-
-    def disengage(self) -> None:
-        """Disengage the robot: it brakes and holds still until `engage`, whatever comes."""
-        self.release()
-
-    def clutch(self) -> None:
-        """Engage the robot: the former name of `engage`."""
         raise NotImplementedError
 
     @exclusively
-    def release(self) -> None:
-        """Disengage the robot: the former name of `disengage`."""
+    def disengage(self) -> None:
+        """Disengage the robot: it brakes and holds still until `engage`, whatever comes."""
         self._is_released = True
         self.core = None
+
+    def clutch(self) -> None:
+        """Engage the robot: the former name of `engage`."""
+        self.engage()
+
+    def release(self) -> None:
+        """Disengage the robot: the former name of `disengage`."""
+        self.disengage()
 
 
 class HandMapper(Mover):
@@ -470,6 +470,7 @@ class HandMapper(Mover):
         """Map one sample as it comes in."""
         own = self.core
         when = self._when(dt, time)
+        # `SampleReader::map_landmarks` or `map_joints` of core/mapper.hpp, by the kind of the reader;
         # None for a sample that Python has to look at.
         timed = own and own.map(reader.core, numbers, wrist, when)
         if timed:
@@ -608,12 +609,12 @@ class HandMapper(Mover):
             # Like no other motion, so that whoever knows where the robot is will say so.
             self.motion = self.motion._replace(dt=np.inf)
         self._awaits_palm = awaits_palm
-        self.clutch()
+        self.engage()
         self._reference = reference
 
     @exclusively
-    def clutch(self) -> None:
-        """Engage the robot: the former name of `engage`."""
+    def engage(self) -> None:
+        """Engage the robot: the next sample is the reference; it continues from where it is."""
         self._is_released = False
         self._reference = self.core = None
 

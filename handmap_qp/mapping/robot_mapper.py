@@ -115,9 +115,9 @@ class Leader(HandMapper):
         """What it asked last, as `Asked` or as the core has it."""
         return self.last and self.last.stages
 
-    def clutch(self) -> None:
-        """Make the next sample the reference; see `HandMapper.clutch`."""
-        super().clutch()
+    def engage(self) -> None:
+        """Make the next sample the reference; see `HandMapper.engage`."""
+        super().engage()
         self.since = 0.0
         self.waited = 0.0
         self.last = MapStep(self.asked, (), 0.0)
@@ -723,14 +723,14 @@ class RobotMapper(Mover):
             q = check_joints(whole, robot_q, "robot_q")[0]
         self.point_ik.place(whole.configuration_vector(q))
         self._was_reset = True
-        self.clutch()
+        self.engage()
 
     @exclusively
-    def clutch(self) -> None:
+    def engage(self) -> None:
         """Make the next sample of each hand its reference; the robot continues from here."""
         self._is_released = False
         for leader in self.leaders.values():
-            leader.clutch()
+            leader.engage()
             leader.stay()
 
     @exclusively

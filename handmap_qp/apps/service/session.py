@@ -495,14 +495,14 @@ class Session:
 
     def release(self) -> None:
         """Let the robot hold its posture until `clutch`."""
-        self._hands.mapper.release()
+        self._hands.mapper.disengage()
         self._handle("release")
 
     def stop(self, number: int = 0) -> None:
         """Stop the robot until `clear`; 0 makes a new number. A second stop changes nothing."""
         if not self._state.is_stopped:
             self._stop = number or _new_epoch()
-            self._hands.mapper.release()
+            self._hands.mapper.disengage()
             self._handle("stop")
             self._clock.hasten()
 
@@ -619,7 +619,7 @@ class Session:
         if self._state is not before:
             self._count_hold("not_following")
             self._is_lost = True
-            self._hands.mapper.release()
+            self._hands.mapper.disengage()
             self._be_where_measured()
             self._clock.hasten()
 
@@ -779,9 +779,9 @@ class Session:
             wrist = {"robot_wrist": robot.wrist} if self.robot.is_floating else {}
             mapper.reset(robot_q=inside, **wrist)
         else:
-            mapper.clutch()
+            mapper.engage()
         if self._state.is_released:
-            mapper.release()
+            mapper.disengage()
 
     def _trust(self, step: MapStep, rule: str, humans: Humans) -> Values:
         """Return the fields of a command that say what a sample is worth."""
