@@ -66,14 +66,16 @@ class Stopping(NamedTuple):
 STOPPING = (
     Stopping(
         "hold",
-        "the software, where samples stay away or make no sense, or joints do not follow",
-        "keeps its posture; with `return_after` it goes to rest",
-        "the next sample that makes sense; after joints that did not follow, and with "
-        "`resume=engage`, engage",
+        "the software, where samples stay away or make no sense, joints do not follow, the hand is "
+        "not measured yet, or the QP has no answer",
+        "keeps its posture; with `return_after` it goes to rest where samples stay away",
+        "the next sample that makes sense; with `resume=engage`, that is a new reference; "
+        "`not_following`: engage; `calibrating`: 30 samples are measured; `failed`: the next "
+        "sample for which the QP has an answer",
         (),
         (),
-        ("hold", "returning", "not_following"),
-        ("held", "hold", "returning", "not_following", "gliding"),
+        ("hold", "returning", "not_following", "calibrating"),
+        ("held", "failed", "hold", "returning", "not_following", "calibrating"),
     ),
     Stopping(
         "disengage",
@@ -103,7 +105,7 @@ STOPPING = (
         ("engage", "reset"),
         ("clutch",),
         ("waiting", "following"),
-        ("converged", "limited", "unreachable", "unsettled"),
+        ("converged", "limited", "unreachable", "unsettled", "gliding"),
     ),
 )
 """All that stops a robot of the service, and what lets it follow again."""

@@ -739,8 +739,8 @@ class State(Reply):
         version: Version of the package on the server.
         uptime: Time since the session was opened, or the server started [s].
         names: The session's name, or those of all open sessions.
-        mode: waiting, following, released, hold, returning, stopped, calibrating; of the server:
-            serving.
+        mode: waiting, following, released, hold, returning, not_following, stopped or calibrating;
+            of the server: serving.
         counts: Numbers of samples answered, replaced by newer ones, refused, and so on.
         robots: Robot hands that clients may open; only of the server.
         missing: Robot hands that are not installed, and what installs each; only of the server.

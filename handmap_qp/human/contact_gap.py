@@ -21,7 +21,10 @@ CONTACT_GAPS = (0.012, 0.020)
 TOUCH_GAP = 0.025
 """Tips that come nearer than this may touch [m]."""
 OPEN_GAP = 0.070
-"""Tips that are farther apart than this do not pinch, whatever the contact gap [m]."""
+"""A live measurement changes only while tips are farther apart than this [m].
+
+Rows of pinches have no weight there with `picking=0`. With more, they begin at wider gaps.
+"""
 _MEDIAN_TIME = 0.1
 """Time over which gaps are medians [s]."""
 _PERCENTILE = 1.0
@@ -80,7 +83,8 @@ class ContactGapMeter:
     """Measures the contact gap of a person while they work, touch by touch.
 
     After three touches it begins to follow the 10th percentile of the last twelve. It changes by
-    at most 1 mm a touch, and only while all tips are apart, so that no pinch moves.
+    at most 1 mm a touch, and only while all tips are more than `OPEN_GAP` apart. With `picking=0`,
+    no row of a pinch has weight there. With `picking=1`, the robot's pads move by some millimetres.
 
     Args:
         gap: The contact gap to begin with [m].

@@ -43,6 +43,9 @@ _SHORTEST = 1e-9
 class TaskRows(NamedTuple):
     """A task at one configuration: `|jacobian dq + residual|^2 + dq^T diag(damping) dq`.
 
+    Here nv counts the active coordinates (`Configuration.nv`): the wrist's, and joints that follow
+    no other. In `HandModel` it counts all tangent coordinates of the Pinocchio model.
+
     Attributes:
         residual: Weighted error, value minus target, shape (k,).
         jacobian: Weighted derivative of the error in the active coordinates, shape (k, nv).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,15 +25,18 @@ from handmap_qp.client.messages import (
     PROTOCOL,
     AnyReply,
     AnyRequest,
+    Command,
     Disengage,
     Engage,
     Error,
     Open,
     Pose,
     Sample,
+    State,
     Step,
 )
 from handmap_qp.mapping.presets import known_options
+from handmap_qp.stream.step_table import STATUS_NAMES
 
 _PAGE = Path(__file__).parents[2] / "docs" / "messages.py"
 messages = SimpleNamespace(**runpy.run_path(str(_PAGE), run_name="messages"))
@@ -200,8 +204,20 @@ def test_the_table_of_what_stops_a_robot_has_all_states_and_requests() -> None:
     named = [name for row in messages.STOPPING for name in (*row.requests, *row.former)]
     assert {*named} <= requests
     assert len({*named}) == len(named)
+    states = {state.mode for state in SessionState} | {"calibrating"}
     modes = [mode for row in messages.STOPPING for mode in row.modes]
-    assert sorted(modes) == sorted({state.mode for state in SessionState})
+    assert sorted(modes) == sorted(states)
+    # A command has the outcome of its sample, or the state in which no sample moves the robot.
+    marks = [mark for row in messages.STOPPING for mark in row.marks]
+    assert sorted(marks) == sorted({*STATUS_NAMES} | states - {"waiting", "following"})
+
+
+def test_the_descriptions_of_mode_and_status_have_all_of_their_values() -> None:
+    for kind, field, column in ((State, "mode", "modes"), (Command, "status", "marks")):
+        text = messages.schema_text().split(f"### `{kind.__struct_config__.tag}`")[1]
+        (row,) = re.findall(rf"^\| `{field}` .*", text.split("###")[0], re.MULTILINE)
+        named = {one for part in messages.STOPPING for one in getattr(part, column)}
+        assert named <= {*re.findall(r"\w+", row)}
 
 
 def test_a_former_name_is_read_as_what_it_is_called_now() -> None:

@@ -1,10 +1,11 @@
 """Golden files: what the engine commanded when they were written, to hold every later one to.
 
-    python tests/support/golden.py                 # write all of them anew, into tests/data/golden
+    python tests/support/golden.py                 # write all of them, into tests/data/golden
     python tests/support/golden.py hands robots    # some of them
 
-Write them before a change of the engine, never to make a test pass. A change that moves a command
-on purpose writes them anew in its own commit, which says what moved and why.
+Do not write them to make a test pass. If a change must not move a command, the files from before it
+are the reference: write a case that is missing before the change. If a change moves a command on
+purpose, write them again after it, in the same commit, which says what moved and why.
 
 `hands` has every hand of the package by every preset, `robots` the robots with two hands,
 `streams` a tracker's faults, and `problems` single QPs. The person's motion is the recording

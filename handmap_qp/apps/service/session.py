@@ -710,7 +710,10 @@ class Session:
         return command
 
     def _measure_gap(self, time: float, humans: Humans) -> None:
-        """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
+        """Let touches correct the contact gap, by small steps, while the tips are apart.
+
+        With `picking` above 0, rows of pinches have weight there, and the robot may move a little.
+        """
         meter = self._hands.gap_meter
         human = humans.get(self.request.side)
         if meter is None or human is None or "contact_gap" in self.request.options:
