@@ -75,7 +75,7 @@ full: $(INSTALLED) ## Run all tests: every hand by every preset, and builds of a
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
 
-lint: $(INSTALLED) ## Check style (ruff), types (ty), and who imports whom (import-linter)
+lint: $(INSTALLED) ## Check style (ruff), types (ty), who imports whom (import-linter), the core's stub
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ty check --error-on-warning --python $(BIN)/python

@@ -40,12 +40,6 @@ inline void expect_size(const Array& a, size_t size, const char* name) {
 inline void expect(bool is_right, const char* problem) {
   if (!is_right) throw std::invalid_argument(problem);
 }
-inline void expect_indices(const std::vector<int>& indices, size_t count, const char* name) {
-  for (const int i : indices)
-    if (i < 0 || static_cast<size_t>(i) >= count)
-      throw std::invalid_argument(std::string("wrong index in ") + name);
-}
-
 inline std::vector<Vec3> points_of(const Array& a) {
   std::vector<Vec3> points(a.size() / 3);
   for (size_t k = 0; k < points.size(); ++k)

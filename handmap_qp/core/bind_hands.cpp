@@ -20,7 +20,11 @@ NumpyArray pinching_postures(const Tree& tree, const Ik& usual, const Indices& j
                              int samples, double tolerance) {
   DistanceTask task{attached_of(joints, offsets), {}, {}};
   const size_t count = distances.size(), n = tree.q_indices.size();
+  expect_joints(tree, task.points);
+  expect(!joints.empty(), "no pads");
   expect_size(distances, joints.size() - 1, "distances");
+  expect(usual.limits.size() == tree.size && usual.limits.lowest.size() == static_cast<size_t>(tree.nq),
+         "an Ik of another hand");
   for (size_t k = 0; k < count; ++k) {
     task.first.push_back(0);
     task.second.push_back(static_cast<int>(k + 1));
@@ -159,7 +163,9 @@ void bind_hands(nb::module_& m) {
       .def("points_on_links", &points_on_links, "q"_a, "links"_a, "offsets"_a)
       .def("points_on_joints",
            [](const Tree& tree, const Array& q, const Indices& joints, const Array& offsets) {
-             return points_in_palm(tree, q, attached_of(joints, offsets));
+             const std::vector<Attached> points = attached_of(joints, offsets);
+             expect_joints(tree, points);
+             return points_in_palm(tree, q, points);
            },
            "q"_a, "joints"_a, "offsets"_a)
       .def("joint_poses", &joint_poses, "q"_a)

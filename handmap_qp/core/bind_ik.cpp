@@ -154,6 +154,7 @@ nb::list detours_of(Ik& ik) {
 // Continue the motion on detours, as the hands do that these are copies of.
 void go_on(Ik& ik, const nb::object& given) {
   std::vector<Detour> detours(ik.detours.size());
+  expect(nb::len(given) == detours.size(), "a detour for each hand");
   for (size_t i = 0; i < detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
     const Array points = nb::cast<Array>(item(detour, 1));

@@ -28,7 +28,7 @@ inline std::shared_ptr<const LandmarkOrders> make_orders(const std::vector<Indic
   std::vector<std::array<int, kLandmarks>> known;
   for (const Indices& each : indices) {
     expect(each.size() == kLandmarks, "wrong size of an order");
-    expect_indices(each, kLandmarks, "orders");
+    expect_below("orders", each, kLandmarks);
     std::copy(each.begin(), each.end(), known.emplace_back().begin());
   }
   return std::make_shared<const LandmarkOrders>(std::move(known));
@@ -201,9 +201,12 @@ class PythonGuard : public Exclusive {
   }
   void restore(const Saved& saved) {
     const auto& [state, rate, input] = saved;
-    restore_state(state, guard.state);
-    put_back(rate, guard.rate);
-    restore_state(input, guard.input.state);
+    // Nothing is taken before all of it is right.
+    StreamGuard restored = guard;
+    restore_state(state, restored.state);
+    put_back(rate, restored.rate);
+    restore_state(input, restored.input.state);
+    guard = std::move(restored);
     former = guard.state;
   }
 

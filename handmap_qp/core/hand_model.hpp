@@ -106,8 +106,14 @@ struct HandModel {
     for (size_t j = 0; j < joint_count; ++j) check_joint(j);
     for (size_t i = 0; i < frames.size(); ++i) {
       const std::string path = "HandModel.frames[" + std::to_string(i) + "]";
+      const std::string& kind = frames[i].kind;
+      const bool is_joint = kind == "joint";
+      expect_that(is_joint || kind == "fixed_joint" || kind == "link" || kind == "other", path + ".kind",
+                  "joint, fixed_joint, link or other");
       expect_below(path + ".joint", {frames[i].joint}, joint_count, -1);
-      expect_below(path + ".parent", {frames[i].parent}, frames.size());
+      expect_that(!is_joint || frames[i].joint >= 0, path + ".joint", "the joint that it is of");
+      // The world's frame is its own parent.
+      expect_below(path + ".parent", {frames[i].parent}, i + 1);
     }
     expect_count("HandModel.spread", spread.rows, static_cast<size_t>(nv));
     expect_that(spread.columns > 0, "HandModel.spread", "a column at least");

@@ -189,7 +189,7 @@ class ModelReader {
   }
 
   // The number of elements behind a head: in its last bits, or in 1, 2 or 4 bytes from a code on.
-  // `first_code` 0 has no such codes; `smallest` is the number of bytes of the first code's size.
+  // `fixed` 0: the head has no short form; `smallest` is the number of bytes of the first code's size.
   std::optional<size_t> count(std::uint8_t fixed, std::uint8_t mask, std::uint8_t first_code,
                               int smallest, const std::string& expected) {
     if (rest() == 0) return {};

@@ -28,7 +28,7 @@ inline double nth_smallest(double* values, size_t count, size_t place) {
   return values[place];
 }
 
-// The upper median; see hand_geometry.median. Changes the order of `values`.
+// The upper median. Changes the order of `values`.
 inline double upper_median(double* values, size_t count) {
   return nth_smallest(values, count, count / 2);
 }

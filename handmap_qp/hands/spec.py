@@ -329,8 +329,12 @@ def read_hand_spec(path: Path) -> HandSpec:
     if "hands" in document:
         problem = f"{document.get('name')} is a robot with hands, not a hand"
         advice = "give one of the hands that this file names, or a command that takes a robot: "
-        commands = "`handmap robots`, map, view, simulate or batch"
+        commands = "`handmap robots`, retarget, view, simulate or batch"
         raise HandError(f"{problem}: {advice}{commands}", file=file)
+    for former, key in _FORMER_KEYS.items():
+        if former in document and key in document:
+            problem = f"{former} is the former name of {key}: give one of them"
+            raise HandError(problem, key=former, file=file)
     document = {_FORMER_KEYS.get(key, key): value for key, value in document.items()}
     fields = typed(document | {"file": str(file)}, _HandFields, file)
     return HandSpec(**msgspec.structs.asdict(fields))

@@ -31,10 +31,6 @@ def _limits_of(hand: Hand, options: IkOptions, bounds: PairBounds | None) -> Box
     return box_limits(hand, options, together)
 
 
-GateParts = tuple[core.Tree, bytes] | tuple[core.Tree, bytes, core.PairBounds, bytes]
-"""What the core's gate is made of: kinematics, limits, and pairs of shapes with how they part."""
-
-
 class Gate:
     """Owns the motion of a robot and its time, and admits its displacements.
 

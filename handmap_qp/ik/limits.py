@@ -25,7 +25,7 @@ def box_limits(
     Args:
         hand: The hand.
         options: Say whether speed limits hold, and limit the acceleration.
-        together: Which coordinates must be able to stop together, shape (nv,); none if omitted.
+        together: Which coordinates must be able to stop together, shape (k,); none if omitted.
     """
     size = len(hand.active_columns)
     # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all

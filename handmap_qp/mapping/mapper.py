@@ -791,10 +791,6 @@ class JointReader:
         """Build a copy with a workspace of its own."""
         return JointReader, (self.human, self.tolerance, self.quat_order)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        return {name: value for name, value in vars(self).items() if name != "core"}
-
     def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
 

@@ -11,11 +11,11 @@ class BoxLimits(Model, frozen=True, kw_only=True):
     Attributes:
         lowest: Lower position limits of a configuration, shape (nq,).
         highest: Upper ones.
-        lower: Lower position limits of the coordinates, shape (nv,).
+        lower: Lower position limits of the coordinates, shape (k,).
         upper: Upper ones.
-        speeds: Speed limits, shape (nv,); infinite for none.
-        coordinates: Where each coordinate's joint is in a configuration, shape (nv,).
-        together: Which coordinates must be able to stop together, shape (nv,).
+        speeds: Speed limits, shape (k,); infinite for none.
+        coordinates: Where each coordinate's joint is in a configuration, shape (k,).
+        together: Which coordinates must be able to stop together, shape (k,).
         acceleration: Limit of every coordinate's acceleration; infinite for none.
     """
 
@@ -30,5 +30,5 @@ class BoxLimits(Model, frozen=True, kw_only=True):
 
     @property
     def size(self) -> int:
-        """Number of coordinates, nv."""
+        """Number of active coordinates, k."""
         return len(self.lower)

@@ -118,7 +118,7 @@ def _parts(robot: Hand) -> list[str]:
 
 
 def _joint_rows(hand: Hand, **extra_columns: Sequence[str]) -> Rows:
-    """Return a row for each joint with its limitsand further columns."""
+    """Return a row for each joint with its limits, and further columns."""
     columns = {
         "joint": hand.joint_names,
         **extra_columns,
