@@ -7,7 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 from person_cases import worn
-from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
+from service_tools import (
+    CACHE,
+    PERIOD,
+    Sampler,
+    accelerations,
+    follow,
+    human_q,
+    make_session,
+    opening,
+    run_now,
+)
 
 from handmap_qp import load_hand
 from handmap_qp.apps.service.opening import (
@@ -16,7 +26,7 @@ from handmap_qp.apps.service.opening import (
     prepare_hands,
 )
 from handmap_qp.apps.service.session import Session
-from handmap_qp.client.messages import PROTOCOL, Configure
+from handmap_qp.client.messages import PROTOCOL, Command, Configure
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
@@ -25,7 +35,6 @@ from handmap_qp.trackers.formats import read_recording
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-PERIOD = 1.0 / 60.0
 SETTLING_SAMPLES = 10
 """More samples than the guard waits for after a fault."""
 
@@ -128,6 +137,147 @@ def test_a_known_hand_needs_no_measuring() -> None:
         Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1
     )
     assert command.status != "calibrating"
+
+
+TURN = 0.005
+"""Time between two looks of the watchdog [s]."""
+ACCELERATION_LIMIT = 20.0
+"""Limit of the sessions that measure a hand while the robot moves [rad/s^2]."""
+
+
+def restored_while_moving(
+    limit: float, **choices: Any
+) -> tuple[Session, list[Command]]:
+    """Restore a session that measures the hand, and whose robot moves.
+
+    Args:
+        limit: Acceleration limit of both sessions [rad/s^2].
+        choices: Further choices of the request.
+
+    Returns:
+        The session, and the last two commands of the former one.
+    """
+    ik = {"max_acceleration": limit}
+    former, sample = make_session(ik=ik), Sampler()
+    now = follow(former, sample, 0.0, 30)
+    commands = []
+    for _ in range(5):
+        now += PERIOD
+        commands.append(former.step(sample(now, human_q(4.5)), now))
+    assert np.abs(former.motion.velocity[former.robot.joint_columns]).max() > 0.5
+    request = opening(input="landmarks", ik=ik, **choices)
+    hands = prepare_hands(request, CACHE, defer=run_now)
+    session = Session(
+        request, hands, "test", now, former=former.record, motion=former.motion
+    )
+    return session, commands[-2:]
+
+
+def run_turns(
+    session: Session, start: float, turns: int, period: int, **human: Any
+) -> list[Command]:
+    """Let the watchdog look in every turn, after the sample if one arrives.
+
+    Args:
+        session: The session.
+        start: Time before the first turn [s].
+        turns: Number of turns.
+        period: Turns from sample to sample; 0 for no samples.
+        human: Fields of the samples; landmarks of a hand that moves if omitted.
+
+    Returns:
+        The commands of samples and watchdog.
+    """
+    sample, commands = Sampler(), []
+    for turn in range(1, turns + 1):
+        now = start + turn * TURN
+        if period and turn % period == 0:
+            seen = human or {"landmarks": landmarks_of(phase=2.0 * (now - start))}
+            commands.append(session.step(sample(now, **seen), now))
+        if (command := session.tick(now + 0.5 * TURN)) is not None:
+            commands.append(command)
+    return commands
+
+
+def assert_brakes_within(commands: list[Command], limit: float) -> None:
+    """Assert that no command breaks an acceleration limit [rad/s^2]."""
+    assert np.abs(accelerations(commands)).max() <= limit * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("period", [1, 3])
+@pytest.mark.parametrize("limit", [5.0, ACCELERATION_LIMIT])
+def test_a_robot_that_moves_brakes_while_the_hand_is_measured_and_is_then_led(
+    limit: float, period: int
+) -> None:
+    session, commands = restored_while_moving(limit)
+    start = commands[-1].server_time
+    commands += run_turns(session, start, 4 * period * CALIBRATION_SAMPLES, period)
+    states = [command.status for command in commands[2:]]
+    assert states[0] == "calibrating"
+    assert session.mode == "following"
+    assert "calibrating" not in states[-2 * CALIBRATION_SAMPLES :]
+    assert session.counts["steps"] > CALIBRATION_SAMPLES
+    assert_brakes_within(commands, limit)
+
+
+@pytest.mark.parametrize("cause", ["lost", "release", "stop"])
+def test_a_robot_that_moves_brakes_whatever_keeps_the_hand_from_being_measured(
+    cause: str,
+) -> None:
+    session, commands = restored_while_moving(ACCELERATION_LIMIT)
+    start = commands[-1].server_time
+    if cause == "release":
+        session.release()
+    if cause == "stop":
+        session.stop()
+    human = {"landmarks": None, "valid": False} if cause == "lost" else {}
+    # Fewer samples than the measurement needs.
+    turns = 2 * (CALIBRATION_SAMPLES - 1)
+    commands += run_turns(session, start, turns, 2, **human)
+    assert_brakes_within(commands, ACCELERATION_LIMIT)
+    assert not session.motion.is_braking
+
+
+def test_a_robot_on_its_way_to_rest_brakes_when_the_hand_is_measured() -> None:
+    session, commands = restored_while_moving(
+        ACCELERATION_LIMIT, watchdog=0.1, return_after=0.1, return_speed=1.0
+    )
+    session.step(
+        Sampler()(landmarks=landmarks_of()), start := commands[-1].server_time + TURN
+    )
+    commands = run_turns(session, start, 60, 0)
+    assert session.mode == "returning"
+    assert session.motion.is_braking
+    commands += run_turns(session, start + 60 * TURN, CALIBRATION_SAMPLES - 2, 1)
+    assert session.mode == "calibrating"
+    assert_brakes_within(commands, ACCELERATION_LIMIT)
+    assert not session.motion.is_braking
+
+
+@pytest.mark.parametrize("hand_length", [None, 0.19], ids=["unknown", "known"])
+@pytest.mark.parametrize("period", [1, 3])
+def test_samples_without_a_hand_do_not_interrupt_a_return_to_rest(
+    period: int, hand_length: float | None
+) -> None:
+    durations = []
+    for each in (0, period):
+        session, commands = restored_while_moving(
+            ACCELERATION_LIMIT,
+            watchdog=0.1,
+            return_after=0.1,
+            return_speed=0.5,
+            hand_length=hand_length,
+        )
+        start = commands[-1].server_time + TURN
+        commands.append(session.step(Sampler()(landmarks=landmarks_of()), start))
+        commands += run_turns(session, start, 300, each, landmarks=None, valid=False)
+        assert_brakes_within(commands, ACCELERATION_LIMIT)
+        assert np.array_equal(session.posture[0], session.robot.rest)
+        at_rest = [command.q == tuple(session.robot.rest) for command in commands]
+        durations.append(commands[at_rest.index(True)].server_time - start)
+    without, with_samples = durations
+    # The samples divide the way into more commands.
+    assert with_samples <= 1.1 * without
 
 
 @pytest.mark.slow

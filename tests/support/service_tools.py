@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -142,6 +142,20 @@ def speeds(
 ) -> np.ndarray:
     """Return joint speeds as shares of their limits, shape (n,)."""
     return np.abs(np.array(command.q) - before) / (session.robot.velocity_limits * time)
+
+
+def accelerations(commands: Sequence[Command]) -> np.ndarray:
+    """Return joint accelerations from command to command, by the times of the commands.
+
+    Args:
+        commands: Commands of one robot, k of them with n joints, also of several sessions.
+
+    Returns:
+        Accelerations [rad/s^2], shape (k - 2, n).
+    """
+    times = np.diff([command.server_time for command in commands])[:, None]
+    velocities = np.diff([command.q for command in commands], axis=0) / times
+    return np.diff(velocities, axis=0) / times[1:]
 
 
 def moved_points(session: Session, before: Posture) -> float:

@@ -435,7 +435,7 @@ class Session:
         if is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
-            self._commanded.brake(self._when)
+            self._hold_or_return()
         else:
             self.counts["steps"] += 1
             flags = self._accept(now) + flags
@@ -473,17 +473,7 @@ class Session:
             return None
         self._grant(dt)
         status = self._state.mode
-        if self._state is SessionState.RETURNING:
-            share = self.request.return_speed
-            self._commanded.move_to(
-                self.robot.rest, None, self._when, share, stops=True
-            )
-            # The mapper starts again from there, even if the client has clutched meanwhile.
-            self._reset_mapper()
-            if self._is_at_rest:
-                self._handle("arrival")
-        else:
-            self._commanded.brake(self._when)
+        self._hold_or_return()
         flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
 
@@ -688,13 +678,19 @@ class Session:
     def _calibrate(
         self, calibration: Calibration, humans: Humans, sample: Step, now: float
     ) -> Command:
-        """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
+        """Collect landmarks until the human hand is measured.
+
+        The robot holds meanwhile. If it moves, because its session was restored or because it was
+        returning to rest, it brakes first.
+        """
         added = self._form.each(sample, lambda side, _: calibration.add(humans[side]))
         first, *others = added.values()
         rule = first if all(others) else ""
         hands = calibration.result()
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
+        # The watchdog does not brake while samples arrive.
+        self._hold_or_return()
         command = self._command(
             now,
             self._state.mode if self._state.is_halted else "calibrating",
@@ -708,6 +704,21 @@ class Session:
             self._choose(hands, self.request)
             self._reset_mapper()
         return command
+
+    def _hold_or_return(self) -> None:
+        """Move the robot in a command that no mapping leads: brake, or return to rest.
+
+        Samples that make no sense do not interrupt a return, because the watchdog ignores them.
+        """
+        if self._state is not SessionState.RETURNING:
+            self._commanded.brake(self._when)
+            return
+        share = self.request.return_speed
+        self._commanded.move_to(self.robot.rest, None, self._when, share, stops=True)
+        # The mapper starts again from there, even if the client has clutched meanwhile.
+        self._reset_mapper()
+        if self._is_at_rest:
+            self._handle("arrival")
 
     def _measure_gap(self, time: float, humans: Humans) -> None:
         """Let touches correct the contact gap, by small steps, while the tips are apart.
