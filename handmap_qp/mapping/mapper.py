@@ -470,7 +470,7 @@ class HandMapper(Mover):
         """Map one sample as it comes in."""
         own = self.core
         when = self._when(dt, time)
-        # `SampleReader::map_landmarks` or `map_joints` of core/mapper.hpp, by the kind of the reader;
+        # `SampleReader::map_landmarks` or `map_joints` (core/mapper.hpp), by the kind of reader.
         # None for a sample that Python has to look at.
         timed = own and own.map(reader.core, numbers, wrist, when)
         if timed:

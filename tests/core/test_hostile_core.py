@@ -52,7 +52,7 @@ def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
     if array.dtype.kind == "f":
         changed = array.copy()
     else:
-        wild = [-1, -1000, 1, 1000, 2**31 - 1]
+        wild = [-1, -1000, 1, 1000, 99_999, 2**31 - 1]
         changed = array.astype(np.int64)
     for _ in range(rng.choice([1, 1, 3, changed.size]) if changed.size else 0):
         changed.flat[rng.randrange(changed.size)] = rng.choice(wild)
@@ -116,7 +116,21 @@ def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
         items[place] = hostile(rng, items[place], others)
         whole = rng.choice([items, items[:-1], items * 3, items[:0]])
         return type(value)(whole) if type(value) in (list, tuple) else whole
-    numbers = [0, -1, 1, 1000, 2**31, 2**62, 0.0, -1.0, 1e300, np.nan, np.inf, 1e-300]
+    numbers = [
+        0,
+        -1,
+        1,
+        1000,
+        99_999,
+        2**31,
+        2**62,
+        0.0,
+        -1.0,
+        1e300,
+        np.nan,
+        np.inf,
+        1e-300,
+    ]
     if isinstance(value, int | float) and rng.random() < 0.8:
         return rng.choice(numbers)
     return rng.choice(

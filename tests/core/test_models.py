@@ -13,7 +13,7 @@ import pytest
 from handmap_qp import models
 from handmap_qp.hands import load_hand
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik import IkOptions, core_tree
+from handmap_qp.ik import IkOptions, PointIk, core_tree
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.compiled import hand_model
 from handmap_qp.ik.core import core
@@ -186,3 +186,30 @@ def test_what_is_in_no_model_is_refused() -> None:
         encode({"x": 1j})
     with pytest.raises(TypeError, match="no form for numbers of the type <f4"):
         encode({"x": np.zeros(3, np.float32)})
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"kind": "joint", "joint": -1}, "the joint that it is of"),
+        ({"kind": "nonsense"}, "joint, fixed_joint, link or other"),
+        ({"parent": 1_000_000}, "expected indices below"),
+    ],
+)
+def test_frames_that_cannot_be_are_refused(
+    changed: dict[str, Any], problem: str
+) -> None:
+    model = hand_model(_HAND)
+    *others, last = model.frames
+    frames = (*others, msgspec.structs.replace(last, **changed))
+    with pytest.raises(ValueError, match=problem):
+        core.Tree(encode(msgspec.structs.replace(model, frames=frames)))
+
+
+def test_points_and_detours_of_another_hand_are_refused() -> None:
+    tree = core_tree(_HAND)
+    with pytest.raises(ValueError, match="points of another hand"):
+        tree.points_on_joints(_HAND.rest, [99_999], np.zeros((1, 3)))
+    ik = PointIk(_HAND, IkOptions())
+    with pytest.raises(ValueError, match="a detour for each hand"):
+        ik.core.go_on([])

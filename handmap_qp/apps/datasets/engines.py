@@ -41,7 +41,7 @@ Group = tuple[Job, ...]
 Work = Future[Sequence[Line]]
 """Its result is the lines of a group, when they are on the disk."""
 IsStopped = Callable[[], bool]
-"""Returns whether to stop; called now and then. What is under way is finished, and nothing begun."""
+"""Returns whether to stop, now and then. What is under way is finished, and nothing more begun."""
 
 
 Submit = Callable[[Group], Work]
