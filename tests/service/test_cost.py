@@ -9,8 +9,10 @@ functions inside C++ are not reported. The first samples are left out: they meas
 from __future__ import annotations
 
 import asyncio
+import gc
 import sys
 from collections import Counter
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -54,6 +56,21 @@ def samples(kind: str) -> list[Step]:
     return [sampler(i * PERIOD, landmarks=rows[i]) for i in range(count)]
 
 
+def profiled(
+    note: Callable[[FrameType, str, Any], None],
+    function: Callable[..., object],
+    *arguments: object,
+) -> None:
+    """Call a function; note its calls, but not those of finalizers of other objects."""
+    gc.disable()
+    sys.setprofile(note)
+    try:
+        function(*arguments)
+    finally:
+        sys.setprofile(None)
+        gc.enable()
+
+
 def calls_of_answers(steps: list[Step], **choices: Any) -> list[Counter[str]]:
     """Return the calls of each answer after the first ones, by name.
 
@@ -76,17 +93,9 @@ def calls_of_answers(steps: list[Step], **choices: Any) -> list[Counter[str]]:
         now = step.time
         payload = msgspec.msgpack.encode(step)
         counts.append(Counter())
-        sys.setprofile(count)
-        try:
-            dispatcher.receive(payload, "test", answers.append)
-        finally:
-            sys.setprofile(None)
+        profiled(count, dispatcher.receive, payload, "test", answers.append)
     counts.append(Counter())
-    sys.setprofile(count)
-    try:
-        dispatcher.tick()
-    finally:
-        sys.setprofile(None)
+    profiled(count, dispatcher.tick)
     sessions.close()
     rules = {msgspec.msgpack.decode(answer)["rule"] for answer in answers[WARM:]}
     assert rules == {""}
