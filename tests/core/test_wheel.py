@@ -160,12 +160,13 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
 def test_the_wheel_has_the_compiled_core(
     wheel: Path, environment: Path, elsewhere: Path
 ) -> None:
-    (library,) = (
+    library, stub = sorted(
         name
         for name in zipfile.ZipFile(wheel).namelist()
         if name.startswith("handmap_qp/_core.")
     )
     assert library.endswith(".so")
+    assert stub == "handmap_qp/_core.pyi"
     assert not wheel.name.endswith("none-any.whl")
     assert wheel.stat().st_size < 3e6
     said = run(environment / "bin" / "handmap", "doctor", "--json", cwd=elsewhere)
