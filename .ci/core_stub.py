@@ -1,4 +1,4 @@
-"""Compare `handmap_qp/_core.pyi`, which is written by hand, with the compiled core.
+"""Compare `handmap_core/_core.pyi`, which is written by hand, with the compiled core.
 
     python .ci/core_stub.py
 
@@ -13,7 +13,7 @@ import ast
 import sys
 from pathlib import Path
 
-STUB = Path(__file__).parents[1] / "handmap_qp" / "_core.pyi"
+STUB = Path(__file__).parents[1] / "core" / "handmap_core" / "_core.pyi"
 # Copies go by them, not callers.
 _COPYING = {"__reduce__", "__getstate__", "__setstate__"}
 
@@ -55,9 +55,8 @@ def _base_name(base: ast.expr) -> str:
 
 def compiled_names() -> dict[str, list[Signature]]:
     """Return the names of the compiled module."""
+    from handmap_core.core import load_core
     from nanobind.stubgen import StubGen
-
-    from handmap_qp.ik.core import load_core
 
     module = load_core()
     generator = StubGen(module)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
 
 import handmap_qp
-from handmap_qp.errors import (
+from handmap_core.errors import (
     DiskFullError,
     HandmapError,
     InvalidInputError,

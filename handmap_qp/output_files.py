@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
-from handmap_qp.errors import DiskFullError, InvalidInputError, expect
+from handmap_core.errors import DiskFullError, InvalidInputError, expect
 
 
 def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:

@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
 from typing import TypeVar
 
-from handmap_qp.errors import HandmapError
+from handmap_core.errors import HandmapError
 
 T = TypeVar("T")
 

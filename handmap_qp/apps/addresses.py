@@ -5,7 +5,7 @@ import re
 import socket
 from contextlib import suppress
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_core.errors import InvalidInputError, expect
 from .refusals import naming
 
 REQUESTS_PORT = 5570

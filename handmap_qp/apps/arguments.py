@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from tyro.conf import FlagConversionOff, Positional, arg
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import (
     FINGERS,
     OTHER_SIDE,

@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_core.errors import HandmapError, InvalidInputError, MissingExtraError
 from .addresses import service_address
 
 try:
     import msgspec
     import zmq
 
-    from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
+    from handmap_core.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
 except ModuleNotFoundError as missing:
     raise MissingExtraError(str(missing.name), "service") from missing
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from handmap_qp.errors import MissingCoreError
+from handmap_core.errors import MissingCoreError
 from handmap_qp.version import PACKAGE, __version__
 from .tables import print_result
 
@@ -104,7 +104,7 @@ def libraries() -> dict[str, str]:
 
 def _core_state() -> str:
     try:
-        importlib.import_module("handmap_qp.ik.core")
+        importlib.import_module("handmap_core.core")
     except MissingCoreError as error:
         return str(error)
     return "compiled core"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from handmap_qp.errors import InvalidInputError, reason_of
+from handmap_core.errors import InvalidInputError, reason_of
 
 
 @contextmanager

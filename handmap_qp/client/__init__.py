@@ -1,54 +1,20 @@
-"""Client of the mapping service (`handmap serve`).
+"""The client of the mapping service, under its public name; see `handmap_core.client`."""
 
-This folder needs numpy, msgspec and pyzmq, and nothing else: copy it to where you need it.
-
-    with Client() as client:
-        client.open("allegro_right", preset="teleoperation")
-        command = client.step(q=human_q, wrist=wrist_pose)    # wait for the answer to each sample
-        client.send(q=human_q, wrist=wrist_pose)              # or send without waiting,
-        command = client.latest(timeout=0.1)                  # and read the newest command
-
-In another process, such as the robot's driver, call `watch` with the name of the session and then
-`latest`. `AsyncClient` has the same methods as coroutines. A call raises `ServiceTimeoutError` if
-no answer arrives in time, and `ServiceError` if the server refuses the request. If the server was
-restarted, the client reopens its session where the robot is. Units are SI and radians; `messages`
-describes all fields. Use one client per thread or per event loop.
-"""
-
-from . import messages
-from .asynchronous import AsyncClient
-from .blocking import Client
-from .calls import (
-    ADDRESS,
-    Command,
-    HandFields,
-    Hands,
-    KeyFiles,
-    Options,
-    PoseLike,
-    ServiceError,
-    ServiceTimeoutError,
-    State,
-)
-from .messages import PROTOCOL, Error, Lengths, Opened, Pose
-
-__all__ = [
-    "ADDRESS",
-    "PROTOCOL",
-    "AsyncClient",
-    "Client",
-    "Command",
-    "Error",
-    "HandFields",
-    "Hands",
-    "KeyFiles",
-    "Lengths",
-    "Opened",
-    "Options",
-    "Pose",
-    "PoseLike",
-    "ServiceError",
-    "ServiceTimeoutError",
-    "State",
-    "messages",
-]
+from handmap_core.client import ADDRESS as ADDRESS
+from handmap_core.client import PROTOCOL as PROTOCOL
+from handmap_core.client import AsyncClient as AsyncClient
+from handmap_core.client import Client as Client
+from handmap_core.client import Command as Command
+from handmap_core.client import Error as Error
+from handmap_core.client import HandFields as HandFields
+from handmap_core.client import Hands as Hands
+from handmap_core.client import KeyFiles as KeyFiles
+from handmap_core.client import Lengths as Lengths
+from handmap_core.client import Opened as Opened
+from handmap_core.client import Options as Options
+from handmap_core.client import Pose as Pose
+from handmap_core.client import PoseLike as PoseLike
+from handmap_core.client import ServiceError as ServiceError
+from handmap_core.client import ServiceTimeoutError as ServiceTimeoutError
+from handmap_core.client import State as State
+from . import messages as messages

@@ -10,9 +10,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import reason_of
-from handmap_qp.models import BodyModel, ShapeModel
-from handmap_qp.se3 import Array, affine
+from handmap_core.errors import reason_of
+from handmap_core.models import BodyModel, ShapeModel
+from handmap_core.se3 import Array, affine
 from .hand import Hand
 from .urdf import (
     edges,

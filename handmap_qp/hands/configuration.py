@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import Array, cross_matrices, frozen
+from handmap_core.errors import InvalidInputError
+from handmap_core.se3 import Array, cross_matrices, frozen
 
 if TYPE_CHECKING:
     from .hand import Hand

@@ -22,8 +22,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handmap_qp.models import YieldModel
-from handmap_qp.se3 import Array
+from handmap_core.models import YieldModel
+from handmap_core.se3 import Array
 
 NEAR = 1e-3
 """Pairs that are farther apart than this count as not touching [m]."""

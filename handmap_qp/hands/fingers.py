@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.se3 import Array, lengths, unit
+from handmap_core.se3 import Array, lengths, unit
 from .configuration import moved_by
 from .hand import Hand
 from .human import FINGERS, THUMB

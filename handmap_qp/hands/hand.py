@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.se3 import (
+from handmap_core.errors import HandError, InvalidInputError, expect
+from handmap_core.se3 import (
     Array,
     Arrays,
     PoseLike,

@@ -16,8 +16,8 @@ import numpy as np
 from msgspec import field
 from msgspec.structs import force_setattr
 
-from handmap_qp.errors import HandError, expect
-from handmap_qp.se3 import Array, Arrays, ArrayStruct, as_floats, frozen
+from handmap_core.errors import HandError, expect
+from handmap_core.se3 import Array, Arrays, ArrayStruct, as_floats, frozen
 from .sources import urdf_directory
 from .spec import Names, Side
 from .urdf import (

@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
-from handmap_qp.errors import (
+from handmap_core.errors import (
     HandError,
     InvalidInputError,
     MissingExtraError,

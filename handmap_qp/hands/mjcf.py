@@ -22,8 +22,8 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from handmap_qp.errors import HandError, reason_of
-from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
+from handmap_core.errors import HandError, reason_of
+from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import find_mesh, root_tag
 from .spec import Names

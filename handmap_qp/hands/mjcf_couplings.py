@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from handmap_qp.se3 import Array
+from handmap_core.se3 import Array
 from .spec import MimicSpec, Rules
 
 _DISABLE = mujoco.mjtDisableBit

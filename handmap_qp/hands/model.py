@@ -16,8 +16,8 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandError, expect, reason_of
-from handmap_qp.se3 import frozen
+from handmap_core.errors import HandError, expect, reason_of
+from handmap_core.se3 import frozen
 from .human import JointMove
 from .spec import (
     HandSpec,

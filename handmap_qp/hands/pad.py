@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from handmap_qp.se3 import Array, unit
+from handmap_core.se3 import Array, unit
 
 
 class Pad(NamedTuple):

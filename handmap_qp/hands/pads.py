@@ -10,7 +10,7 @@ import coal
 import msgspec
 import numpy as np
 
-from handmap_qp.se3 import Array, transform_points, unit
+from handmap_core.se3 import Array, transform_points, unit
 from .collision_shapes import read_collision_shapes
 from .fingers import Finger, find_fingers, place_of
 from .hand import Hand

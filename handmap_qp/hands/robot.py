@@ -24,7 +24,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from msgspec import Meta
 from msgspec.structs import replace
 
-from handmap_qp.errors import HandError, expect
+from handmap_core.errors import HandError, expect
 from .hand import Hand
 from .library import find_file, load_hand, robot_files, sided_name
 from .model import compose_urdf

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.se3 import Array, lengths
+from handmap_core.se3 import Array, lengths
 from .collision_shapes import read_collision_shapes
 from .contact_yield import ContactYield, common_yield
 from .fingers import PARALLEL, Finger, PalmKinematics, find_fingers

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from handmap_qp.errors import (
+from handmap_core.errors import (
     HandError,
     MissingExtraError,
     MissingPackageError,

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from msgspec import Meta
 
-from handmap_qp.errors import HandError, reason_of
+from handmap_core.errors import HandError, reason_of
 
 Names = tuple[str, ...]
 Links = tuple[str, str]

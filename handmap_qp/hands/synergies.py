@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
-from handmap_qp.se3 import Array, as_floats, frozen
+from handmap_core.errors import expect
+from handmap_core.se3 import Array, as_floats, frozen
 from .sources import urdf_directory
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import Array
+from handmap_core.se3 import Array
 from .hand import Hand
 
 DATA_SHEETS: Mapping[str, float] = MappingProxyType(

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import HandError
-from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
+from handmap_core.errors import HandError
+from handmap_core.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
 from .sources import find_mesh, read_urdf, urdf_path
 from .spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Positions, Rules, repeated
 

@@ -11,8 +11,8 @@ from itertools import repeat
 
 import numpy as np
 
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import Array, lengths
+from handmap_core.core import core
+from handmap_core.se3 import Array, lengths
 from .recording import Recording
 from .sample import TIPS
 

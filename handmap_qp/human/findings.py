@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
+from handmap_core.core import core
 from handmap_qp.hands import FINGERS, OTHER_SIDE, Side
-from handmap_qp.ik.core import core
 
 HAND_LENGTHS: tuple[float, float] = core.HAND_LENGTHS
 """Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to

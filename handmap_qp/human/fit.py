@@ -11,17 +11,17 @@ the best of the minima that several starts lead to.
 
 import numpy as np
 
-from handmap_qp.errors import expect
-from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
-from handmap_qp.ik import LENGTH_UNIT
-from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.se3 import (
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     as_floats,
     inverse_pose,
     rigid_fit,
     transform_points,
 )
+from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
+from handmap_qp.ik import LENGTH_UNIT
+from handmap_qp.ik.nearest_posture import nearest_posture
 from .measure import measure_hand
 from .recording import HumanMotion, Recording
 from .sample import LANDMARK_COUNT, PALM, PalmShape, human_name

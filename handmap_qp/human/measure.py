@@ -4,14 +4,14 @@ from functools import cache
 
 import numpy as np
 
-from handmap_qp.errors import expect
-from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import (
+from handmap_core.core import core
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     as_floats,
     lengths,
 )
+from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
 from .recording import Recording
 from .sample import (
     LANDMARK_COUNT,

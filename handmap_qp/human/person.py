@@ -8,10 +8,10 @@ import numpy as np
 import yaml
 from msgspec.structs import astuple, force_setattr, replace
 
-from handmap_qp.errors import HandError, InvalidInputError, expect
+from handmap_core.errors import HandError, InvalidInputError, expect
+from handmap_core.se3 import Array, ArrayStruct
 from handmap_qp.hands import FINGERS, Document, HumanLengths, Vector, read_yaml, typed
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array, ArrayStruct
 from .sample import expect_hand_length
 
 LARGEST_GAP = 0.04

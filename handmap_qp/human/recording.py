@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
+from handmap_core.se3 import Array, affine, as_floats, check_poses, frozen, is_real
 from handmap_qp.hands import OTHER_SIDE, UPRIGHT, Hand, Side
-from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen, is_real
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

@@ -17,11 +17,9 @@ from typing import Any, get_args
 import msgspec
 import numpy as np
 
-from handmap_qp import ik
-from handmap_qp.errors import expect
-from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import (
+from handmap_core.core import core
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     as_floats,
     check_pose,
@@ -29,6 +27,8 @@ from handmap_qp.se3 import (
     is_real,
     transform_points,
 )
+from handmap_qp import ik
+from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
 from .findings import HAND_LENGTHS, Finding, FindingNumbers
 
 LANDMARK_COUNT = 21

@@ -63,7 +63,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.core import core
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.models import (
+    CollisionModel,
+    PairsModel,
+    encode,
+)
+from handmap_core.se3 import Array, inverse_pose, lengths, transform_points
 from handmap_qp.hands import (
     NEAR,
     Configuration,
@@ -75,16 +82,9 @@ from handmap_qp.hands import (
     named_pairs,
     pair_ends,
 )
-from handmap_qp.models import (
-    CollisionModel,
-    PairsModel,
-    encode,
-)
-from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
-from .core import core
 
 if TYPE_CHECKING:
-    from handmap_qp import _core
+    from handmap_core import _core
 
 Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""

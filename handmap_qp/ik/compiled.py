@@ -9,16 +9,16 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandError
-from handmap_qp.hands import Hand, PointSpec
-from handmap_qp.models import (
+from handmap_core.core import core
+from handmap_core.errors import HandError
+from handmap_core.models import (
     FrameModel,
     HandModel,
     JointModel,
     PlaceModel,
     encode,
 )
-from .core import core
+from handmap_qp.hands import Hand, PointSpec
 
 _FRAMES: dict[pin.FrameType, Literal["joint", "fixed_joint", "link"]] = {
     pin.FrameType.JOINT: "joint",

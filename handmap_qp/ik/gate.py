@@ -10,18 +10,18 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from handmap_core.core import core
+from handmap_core.models import BoxLimits, encoded
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand, Names
-from handmap_qp.models import BoxLimits, encoded
-from handmap_qp.se3 import Array
 from .collision import CollisionLimit, PairBounds, Rows
 from .compiled import core_tree
-from .core import core
 from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions, ik_model
 
 if TYPE_CHECKING:
-    from handmap_qp import _core
+    from handmap_core import _core
 
 
 @lru_cache(maxsize=32)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from handmap_core.models import BoxLimits
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
-from handmap_qp.models import BoxLimits
-from handmap_qp.se3 import Array
 from .options import IkOptions
 
 # Accelerations from here on count as no limit [rad/s^2, m/s^2].

@@ -16,8 +16,8 @@ import mink
 import numpy as np
 import qpsolvers
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import Configuration, Hand
-from handmap_qp.se3 import Array
 from .options import IkOptions
 from .qp import cost_rows, squared_damping
 from .tasks import Goal

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import Array
-from .core import core
+from handmap_core.core import core
+from handmap_core.se3 import Array
 
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].

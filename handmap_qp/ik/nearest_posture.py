@@ -9,8 +9,8 @@ the axis of i times the point's derivative by j. Each step solves a QP with the 
 `core/posture.hpp`.
 """
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
-from handmap_qp.se3 import Array
 from .compiled import core_tree
 
 

@@ -22,11 +22,11 @@ import daqp
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.core import core
+from handmap_core.errors import expect
+from handmap_core.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from handmap_qp import ik
-from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
-from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
-from .core import core
 from .motion import Motion, When
 from .options import IkOptions
 from .tasks import (
@@ -40,7 +40,7 @@ from .tasks import (
 )
 
 if TYPE_CHECKING:
-    from handmap_qp import _core
+    from handmap_core import _core
     from handmap_qp.hands import ShapePairs
     from .collision import Rows
 

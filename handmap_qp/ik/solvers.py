@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import qpsolvers
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.se3 import Array
 from handmap_qp.hands import Values
-from handmap_qp.se3 import Array
 
 # Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
 # needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,

@@ -24,16 +24,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_core.core import core
+from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.models import DistancesModel, encode
+from handmap_core.se3 import Array, as_floats, lengths
 from handmap_qp.hands import AttachedPoints, Configuration, Hand
-from handmap_qp.models import DistancesModel, encode
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import Array, as_floats, lengths
-from .core import core
 from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:
-    from handmap_qp import _core
+    from handmap_core import _core
     from .motion import When
 
 _SHORTEST = 1e-9

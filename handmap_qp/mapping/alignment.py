@@ -6,11 +6,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidOptionsError, expect
-from handmap_qp.hands import Hand, Values
-from handmap_qp.human import upright_axes
-from handmap_qp.options import number
-from handmap_qp.se3 import (
+from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.options import number
+from handmap_core.se3 import (
     FARTHEST,
     Array,
     as_floats,
@@ -19,6 +17,8 @@ from handmap_qp.se3 import (
     nearest_rotation,
     unit,
 )
+from handmap_qp.hands import Hand, Values
+from handmap_qp.human import upright_axes
 from .method import BoundMethod, MethodOptions
 
 Coordinate = Annotated[float, number(-FARTHEST, FARTHEST)]

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.se3 import (
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.se3 import (
     Array,
     affine,
     as_floats,

@@ -9,9 +9,9 @@ products. With `ridge = 0` the solution is exactly the paper's.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import DegeneratePointsError, expect
-from handmap_qp.models import EstimatorModel
-from handmap_qp.se3 import (
+from handmap_core.errors import DegeneratePointsError, expect
+from handmap_core.models import EstimatorModel
+from handmap_core.se3 import (
     Array,
     ArrayStruct,
     affine,

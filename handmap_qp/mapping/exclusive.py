@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
-from handmap_qp.errors import MapperBusyError
+from handmap_core.errors import MapperBusyError
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")

@@ -10,7 +10,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.se3 import Array, frozen, lengths, mirror_sign, transform_points
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -34,7 +35,6 @@ from handmap_qp.ik import (
     core_tree,
 )
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.se3 import Array, frozen, lengths, mirror_sign, transform_points
 from .palm import point_indices, require_points
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (

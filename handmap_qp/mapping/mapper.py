@@ -20,7 +20,21 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
+from handmap_core.core import core
+from handmap_core.errors import InvalidInputError, InvalidOptionsError, expect
+from handmap_core.models import LandmarkReaderModel, encode
+from handmap_core.se3 import (
+    Array,
+    PoseLike,
+    QuatOrder,
+    as_floats,
+    as_points,
+    check_pose,
+    inverse_pose,
+    is_real,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import (
     LANDMARK_COUNT,
@@ -40,20 +54,6 @@ from handmap_qp.ik import (
     Task,
     When,
     core_tree,
-)
-from handmap_qp.ik.core import core
-from handmap_qp.models import LandmarkReaderModel, encode
-from handmap_qp.se3 import (
-    Array,
-    PoseLike,
-    QuatOrder,
-    as_floats,
-    as_points,
-    check_pose,
-    inverse_pose,
-    is_real,
-    rigid_fit,
-    transform_points,
 )
 from .exclusive import WorkLock, exclusively
 from .method import (
@@ -791,7 +791,9 @@ class JointReader:
         """Build a copy with a workspace of its own."""
         return JointReader, (self.human, self.tolerance, self.quat_order)
 
-    def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
+    def read(
+        self, q: ArrayLike, wrist_pose: PoseLike | None
+    ) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
 
         Args:

@@ -36,7 +36,10 @@ from typing import (
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError, did_you_mean
+from handmap_core.core import core
+from handmap_core.errors import InvalidOptionsError, did_you_mean
+from handmap_core.options import Options
+from handmap_core.se3 import Array, ArrayStruct, lengths
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import (
@@ -48,10 +51,7 @@ from handmap_qp.ik import (
     result_of,
     wrist_error,
 )
-from handmap_qp.ik.core import core
-from handmap_qp.options import Options
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import Array, ArrayStruct, lengths
 from . import methods
 
 if TYPE_CHECKING:

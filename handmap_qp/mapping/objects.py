@@ -10,10 +10,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_core.errors import InvalidInputError, expect, require
+from handmap_core.options import Options, Positive
+from handmap_core.se3 import Array, as_floats
 from handmap_qp.hands import Configuration, convex_hull, prism_around
-from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import Array, as_floats
 
 KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""

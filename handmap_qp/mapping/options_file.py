@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_core.errors import InvalidInputError, did_you_mean
 from .presets import Choice, known_options, preset_choice
 
 

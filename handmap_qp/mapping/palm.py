@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.models import PalmModel
+from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from handmap_qp.hands import Hand
-from handmap_qp.models import PalmModel
-from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import AlignedOptions, rotation_of
 from .method import HumanPose, RobotPosture, TargetMap
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
-from handmap_qp.errors import HandmapError
+from handmap_core.errors import HandmapError
+from handmap_core.options import Option, options_of
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.ik import IkOptions
-from handmap_qp.options import Option, options_of
 from .method import PRESETS, MethodOptions, default_preset, get_preset
 
 

@@ -21,7 +21,20 @@ import pinocchio as pin
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import HandmapError, InvalidOptionsError, expect
+from handmap_core.core import core
+from handmap_core.errors import HandmapError, InvalidOptionsError, expect
+from handmap_core.models import RobotHandModel, RobotModel, encode
+from handmap_core.se3 import (
+    Array,
+    PoseLike,
+    affine,
+    check_pose,
+    frozen,
+    inverse_pose,
+    lengths,
+    smoothstep,
+    transform_points,
+)
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
@@ -40,19 +53,6 @@ from handmap_qp.ik import (
     PointOffset,
     Task,
     When,
-)
-from handmap_qp.ik.core import core
-from handmap_qp.models import RobotHandModel, RobotModel, encode
-from handmap_qp.se3 import (
-    Array,
-    PoseLike,
-    affine,
-    check_pose,
-    frozen,
-    inverse_pose,
-    lengths,
-    smoothstep,
-    transform_points,
 )
 from .exclusive import WorkLock, exclusively
 from .mapper import (

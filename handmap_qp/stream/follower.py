@@ -18,10 +18,12 @@ import numpy as np
 import pinocchio as pin
 from msgspec import structs
 
-from handmap_qp.errors import HandmapError, expect
+from handmap_core.core import core
+from handmap_core.errors import HandmapError, expect
+from handmap_core.options import NotNegative, Option, Options, Positive
+from handmap_core.se3 import Array, ArrayStruct, affine, lengths, transform_points
 from handmap_qp.human import HumanSample, Recording, Verdict
 from handmap_qp.ik import SHORTEST_DT, Instant, Task, When
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     HandMapper,
     HumanPose,
@@ -32,8 +34,6 @@ from handmap_qp.mapping import (
     own_time,
 )
 from handmap_qp.mapping.exclusive import exclusively
-from handmap_qp.options import NotNegative, Option, Options, Positive
-from handmap_qp.se3 import Array, ArrayStruct, affine, lengths, transform_points
 from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 

@@ -13,11 +13,11 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.se3 import FARTHEST, Array, as_floats, is_real
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
 from handmap_qp.mapping import MapStep, Stages
-from handmap_qp.se3 import FARTHEST, Array, as_floats, is_real
 from .follower import Follower, further_terms, map_with
 from .hand_grip import GripOptions, HandGrip, can_grip
 from .object_place import PLACE_DEVIATION

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from handmap_qp.errors import expect
+from handmap_core.core import core
+from handmap_core.errors import expect
+from handmap_core.models import GuardModel, encode
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
 from handmap_qp.human import (
     Finding,
@@ -26,9 +29,6 @@ from handmap_qp.human import (
 )
 from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik import BEHIND as BEHIND
-from handmap_qp.ik.core import core
-from handmap_qp.models import GuardModel, encode
-from handmap_qp.se3 import Array
 from handmap_qp.trackers import known_orders
 
 GAP: float = core.GAP

@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.options import Options, Positive
+from handmap_core.se3 import Array, lengths, unit
 from handmap_qp.hands import (
     SLIDING_STIFFNESS,
     STIFFNESS,
@@ -28,8 +30,6 @@ from handmap_qp.hands import (
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
 from handmap_qp.mapping import PRESETS, HandMapper, MapStep, robot_fingers
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
-from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import Array, lengths, unit
 from .closing_pads import ClosingPads, FingerPads
 from .object_place import ObjectPlace
 

@@ -21,7 +21,18 @@ import pinocchio as pin
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.options import Options, Positive
+from handmap_core.se3 import (
+    Array,
+    Arrays,
+    check_pose,
+    inverse_pose,
+    lengths,
+    smoothstep,
+    transform_points,
+    unit,
+)
 from handmap_qp.hands import (
     FINGERS,
     Configuration,
@@ -40,17 +51,6 @@ from handmap_qp.mapping import (
     nearest,
     parse_object,
     robot_fingers,
-)
-from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import (
-    Array,
-    Arrays,
-    check_pose,
-    inverse_pose,
-    lengths,
-    smoothstep,
-    transform_points,
-    unit,
 )
 from .follower import Follower, map_with
 from .hand_grip import GripOptions

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
 from handmap_qp.hands import HumanLengths
 from handmap_qp.human import (
     Person,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import Array
+from handmap_core.se3 import Array
 
 PLACE_DEVIATION = 0.005
 """Standard deviation along each axis of a place for which none is stated [m]: a depth camera's."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, expect
+from handmap_core.errors import HandmapError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.ik import SHORTEST_DT, Instant, When

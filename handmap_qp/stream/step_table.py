@@ -4,11 +4,11 @@ from typing import get_args
 
 import numpy as np
 
+from handmap_core.core import core
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand, Names
 from handmap_qp.ik import Status
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import MapStep
-from handmap_qp.se3 import Array
 
 STATUS_NAMES: Names = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""

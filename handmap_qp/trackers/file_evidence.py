@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, affine, lengths, nearest_rotation
 from handmap_qp.human import Recording
-from handmap_qp.se3 import Array, affine, lengths, nearest_rotation
 from .hand_geometry import BONES, log_size
 from .wrist_axes import palm_axes
 

@@ -6,8 +6,8 @@ compiled core has them (`core/hand_geometry.hpp`).
 
 from typing import NamedTuple
 
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import Array
+from handmap_core.core import core
+from handmap_core.se3 import Array
 
 BONES: tuple[tuple[int, int], ...] = core.BONES
 """Landmarks at both ends of each bone, and from the wrist to each finger's first joint."""

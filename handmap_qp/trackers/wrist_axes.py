@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import Array
+from handmap_core.core import core
+from handmap_core.se3 import Array
 
 CONVENTIONS: Array = core.WRIST_CONVENTIONS
 """The wrist's axes that known trackers have (`axes_convention`), ours first, shape (6, 3, 3)."""

@@ -6,7 +6,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "gate.hpp"
+#include "handmap/gate.hpp"
 #include "two_fingers.hpp"
 
 using namespace handmap;

@@ -6,11 +6,11 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "detours.hpp"
-#include "episode.hpp"
-#include "guard.hpp"
-#include "posture.hpp"
-#include "run.hpp"
+#include "handmap/detours.hpp"
+#include "handmap/episode.hpp"
+#include "handmap/guard.hpp"
+#include "handmap/posture.hpp"
+#include "handmap/run.hpp"
 #include "two_fingers.hpp"
 
 using namespace handmap;

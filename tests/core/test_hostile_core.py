@@ -488,7 +488,7 @@ def test_no_argument_ends_the_process() -> None:
 
 
 def test_the_calls_are_right_and_all_there_are() -> None:
-    from handmap_qp.ik.core import core
+    from handmap_core.core import core
 
     calls = calls_of(core)
     for function, values in calls.values():
@@ -513,6 +513,6 @@ if __name__ == "__main__":
 
     if "HANDMAP_CORE" in os.environ:
         import other_core  # noqa: F401
-    from handmap_qp.ik.core import core as loaded
+    from handmap_core.core import core as loaded
 
     print(attack(loaded, int(sys.argv[1])))

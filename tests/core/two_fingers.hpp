@@ -5,7 +5,7 @@
 #include <random>
 #include <vector>
 
-#include "pairs.hpp"
+#include "handmap/pairs.hpp"
 
 namespace handmap {
 

@@ -14,13 +14,13 @@
 #include <map>
 #include <random>
 
-#include "detours.hpp"
-#include "hand_model.hpp"
-#include "ik_models.hpp"
-#include "pair_models.hpp"
-#include "person_models.hpp"
-#include "robot_model.hpp"
-#include "targets.hpp"
+#include "handmap/detours.hpp"
+#include "handmap/hand_model.hpp"
+#include "handmap/ik_models.hpp"
+#include "handmap/pair_models.hpp"
+#include "handmap/person_models.hpp"
+#include "handmap/robot_model.hpp"
+#include "handmap/targets.hpp"
 
 using namespace handmap;
 

@@ -124,7 +124,7 @@ def test_both_packages_are_in_one_process(saved: Path) -> None:
     import handmap_run
     from handmap_run import _core as own
 
-    from handmap_qp import _core
+    from handmap_core import _core
 
     assert own.Ik is not _core.Ik
     follower = handmap_run.load(saved)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pinocchio import exp3
 
-from handmap_qp.ik.core import core
+from handmap_core.core import core
 
 
 @given(

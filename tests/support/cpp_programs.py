@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-CORE = Path(__file__).resolve().parents[2] / "handmap_qp/core"
+INCLUDE = Path(__file__).resolve().parents[2] / "core" / "include"
 # Half the time of -O1 to compile; the programs run for seconds.
 _OPTIONS = ["-std=c++17", "-O0", "-g1", "-ffp-contract=off", "-D_GLIBCXX_ASSERTIONS"]
 
@@ -34,7 +34,7 @@ def compiled(source: Path, folder: Path, checks: str = "") -> Path:
         if linked.returncode:
             pytest.skip("needs the sanitizers of g++ (libasan, libubsan)")
     program = folder / source.stem
-    subprocess.run([*command, f"-I{CORE}", source, "-o", program], check=True)
+    subprocess.run([*command, f"-I{INCLUDE}", source, "-o", program], check=True)
     return program
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from handmap_core.core import core
 from handmap_qp import MissingExtraError, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
@@ -25,7 +26,6 @@ from handmap_qp.hands.spec import (
     read_hand_spec,
 )
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.ik.core import core
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.motion import SHORTEST_DT, Motion
 from handmap_qp.ik.options import IkOptions

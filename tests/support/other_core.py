@@ -2,7 +2,7 @@
 
     HANDMAP_CORE=build/sanitize/_core.so python -m pytest -p other_core ...
 
-The library takes the place of `handmap_qp._core` before anything imports that. It must be built
+The library takes the place of `handmap_core._core` before anything imports that. It must be built
 from the sources of this tree, which the package checks by their fingerprint. Processes that tests
 start have the package's own core.
 """
@@ -14,7 +14,7 @@ import os
 import sys
 from pathlib import Path
 
-NAME = "handmap_qp._core"
+NAME = "handmap_core._core"
 
 
 def load_core(library: Path) -> None:
@@ -31,7 +31,7 @@ def load_core(library: Path) -> None:
     module = importlib.util.module_from_spec(spec)
     sys.modules[NAME] = module
     spec.loader.exec_module(module)
-    from handmap_qp.ik.core import core
+    from handmap_core.core import core
 
     if core is not module:
         raise RuntimeError(f"the package does not take {library}")

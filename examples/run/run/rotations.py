@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from handmap_qp.ik.core import core
+from handmap_core.core import core
 
 exp3 = core.exp3
 log3 = core.log3

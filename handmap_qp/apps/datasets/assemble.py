@@ -16,9 +16,9 @@ from typing import Literal
 
 import numpy as np
 
+from handmap_core.se3 import Array, Arrays, unit
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands import Hand, Names
-from handmap_qp.se3 import Array, Arrays, unit
 from handmap_qp.trackers import SIDES
 from .episodes import read_episode
 from .manifest import Line

@@ -15,9 +15,9 @@ from typing import Annotated, Literal
 from msgspec import structs
 from tyro.conf import Positional, arg
 
+from handmap_core.errors import InvalidInputError, RecordingError, expect, warn
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.tables import print_rows, progress
-from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
 from handmap_qp.hands import Names, hand_sides, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional
 
+from handmap_core.errors import expect
 from handmap_qp.apps.arguments import FileSide, check_names, hinted
-from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import FORMATS, format_to_write, list_sources
 from handmap_qp.trackers.formats.base import RecordingFormat

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from msgspec import structs
 
-from handmap_qp.errors import HandmapError, require
+from handmap_core.errors import HandmapError, require
 from handmap_qp.output_files import remove_torn
 from .episodes import run_group
 from .manifest import MOST_KILLS, Line

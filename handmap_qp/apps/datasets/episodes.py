@@ -16,11 +16,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.apps.offline.look_ahead import look_ahead
-from handmap_qp.apps.offline.metrics import Metric
-from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
-from handmap_qp.errors import (
+from handmap_core.core import core
+from handmap_core.errors import (
     DiskFullError,
     HandmapError,
     InvalidInputError,
@@ -28,11 +25,14 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
+from handmap_core.se3 import Arrays
+from handmap_qp.apps.offline.look_ahead import look_ahead
+from handmap_qp.apps.offline.metrics import Metric
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
 from handmap_qp.human import Recording, tip_gaps
-from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
-from handmap_qp.se3 import Arrays
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
     check_recording,

@@ -14,8 +14,8 @@ from typing import Literal
 
 import msgspec
 
+from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers import SEPARATOR
 

@@ -10,16 +10,16 @@ import numpy as np
 from scipy.stats import rankdata
 from tyro.conf import Positional, arg
 
+from handmap_core.errors import HandmapError, InvalidInputError, expect
+from handmap_core.se3 import Array, Arrays
 from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import Row, csv_text, markdown_table, print_result
-from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands import load_whole
 from handmap_qp.human import Recording
 from handmap_qp.output_files import make_folder, replaced_file
-from handmap_qp.se3 import Array, Arrays
 from handmap_qp.trackers import read_archive, read_recording
 from .episodes import MEASURES
 from .manifest import Line, read_manifests

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handmap_core.errors import RecordingError, expect
+from handmap_core.se3 import Array, Arrays, as_floats, frozen
 from handmap_qp.apps.arguments import check_names
-from handmap_qp.errors import RecordingError, expect
 from handmap_qp.hands import Names
-from handmap_qp.se3 import Array, Arrays, as_floats, frozen
 from handmap_qp.trackers import read_archive, reading
 from handmap_qp.trackers.formats.archive import member_names, save_npz
 from handmap_qp.trackers.formats.mcap import (

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import msgspec
 
+from handmap_core.errors import HandmapError, InvalidInputError, reason_of
 from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
 from handmap_qp.hands import load_whole, urdf_path
 from handmap_qp.trackers.formats import (
     FORMATS,

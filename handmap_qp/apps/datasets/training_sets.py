@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import Names
-from handmap_qp.se3 import Array, Arrays
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
-from handmap_qp.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError
 
 CONTEXT = multiprocessing.get_context("spawn")
 ONE_THREAD = dict.fromkeys(

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import expect, require
+from handmap_core.errors import expect, require
+from handmap_core.se3 import (
+    Array,
+    as_floats,
+    inverse_pose,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.hands import Hand, Side, Values, find_fingers
 from handmap_qp.human import (
     FIRST_JOINTS,
@@ -24,13 +31,6 @@ from handmap_qp.human import (
     Recording,
     finger_chains,
     measure_hand,
-)
-from handmap_qp.se3 import (
-    Array,
-    as_floats,
-    inverse_pose,
-    rigid_fit,
-    transform_points,
 )
 from .hands import (
     UPRIGHT,

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidInputError, require
+from handmap_core.errors import InvalidInputError, require
+from handmap_core.se3 import Array, affine, lengths, unit
 from handmap_qp.hands import Hand
-from handmap_qp.se3 import Array, affine, lengths, unit
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError
+from handmap_core.se3 import Array, lengths, transform_points, unit
 from handmap_qp.hands import HUMAN_JOINTS, Hand, Side
-from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers import (
     SIDES,
     AngleLayout,

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.se3 import Array, affine, box_of, lengths, transform_points, unit
+from handmap_core.se3 import Array, affine, box_of, lengths, transform_points, unit
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import Array, lengths
+from handmap_core.se3 import Array, lengths
 from .hands import draw_hands, spheres
 from .raster import Camera, Colour, Triangles, merged
 

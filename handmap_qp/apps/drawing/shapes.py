@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.errors import require
+from handmap_core.errors import require
 from handmap_qp.hands import (
     Hand,
     add_stand_ins,

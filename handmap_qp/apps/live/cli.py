@@ -9,10 +9,10 @@ from typing import Annotated
 from rich.console import Console
 from tyro.conf import Positional, arg
 
+from handmap_core.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.apps.arguments import FileSide, KeyFiles, OpenSession, hinted
 from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.apps.tables import print_result
-from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands import Values, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.trackers import read_recording

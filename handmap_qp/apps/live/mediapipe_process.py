@@ -212,13 +212,16 @@ def _rows(landmarks: Any) -> np.ndarray:
 
 
 def _client_module() -> Any:
-    """Import the folder `client` from beside this file, or from its place in handmap_qp."""
+    """Import the folder `client` from beside this file, or from its place in handmap_core."""
     folder = Path(__file__).resolve().parent
-    sys.path += [str(folder), str(folder.parent.parent)]
+    # Packages are beside each other where they are installed; a checkout has the core's in core.
+    packages = folder.parents[2]
+    homes = [folder, packages / "handmap_core", packages / "core" / "handmap_core"]
+    sys.path += map(str, homes)
     try:
         return importlib.import_module("client")
     except ModuleNotFoundError as error:
-        _stop(f"{error}: the folder client of handmap_qp must lie beside this file")
+        _stop(f"{error}: the folder client of handmap_core must lie beside this file")
 
 
 def _stop(message: str) -> NoReturn:

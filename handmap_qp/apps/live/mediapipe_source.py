@@ -19,8 +19,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Suppress, arg
 
+from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.arguments import hinted
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Side
 from handmap_qp.human import UNSEEN, HumanSample
 from .source import Source

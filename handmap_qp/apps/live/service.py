@@ -6,9 +6,9 @@ from time import monotonic
 
 import numpy as np
 
+from handmap_core.client import Command, KeyFiles, ServiceError, ServiceTimeoutError
+from handmap_core.errors import InvalidInputError, expect
 from handmap_qp.apps.connection import GONE, connected, only_session
-from handmap_qp.client import Command, KeyFiles, ServiceError, ServiceTimeoutError
-from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Side, Values
 from handmap_qp.human import HumanSample, Person
 from .source import Sink, Source

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_core.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import HumanSample, Recording, sample_columns
 from handmap_qp.output_files import check_output

@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from handmap_core.errors import expect, warn
 from handmap_qp.apps.arguments import (
     InputArguments,
     InputFlags,
@@ -20,7 +21,6 @@ from handmap_qp.apps.arguments import (
     read_robot,
 )
 from handmap_qp.apps.tables import print_result, print_rows, progress
-from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import PALM, Recording, write_person
 from handmap_qp.mapping import alignment_from_gestures

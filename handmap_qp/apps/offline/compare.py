@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from tyro.conf import arg
 
+from handmap_core.errors import expect, warn
 from handmap_qp.apps.arguments import (
     HandName,
     InputArguments,
@@ -23,7 +24,6 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
-from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Names, Values, hand_sides, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.output_files import make_folder, writing

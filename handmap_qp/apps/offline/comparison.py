@@ -28,8 +28,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from handmap_core.errors import HandmapError, InvalidInputError, expect, reason_of
+from handmap_core.se3 import Array, as_floats, inverse_pose
 from handmap_qp.apps.arguments import check_names
-from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands import Hand, Names, Side, Values, find_fingers
 from handmap_qp.human import (
     Person,
@@ -47,7 +48,6 @@ from handmap_qp.mapping import (
     preset_choice,
     rotation_onto,
 )
-from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics

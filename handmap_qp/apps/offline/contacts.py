@@ -6,6 +6,7 @@ a hand on an arm or a stand, both palms lay it in the robot's world at the first
 
 import numpy as np
 
+from handmap_core.se3 import Array, inverse_pose, lengths, transform_points
 from handmap_qp.hands import (
     Values,
     distal_shapes,
@@ -14,7 +15,6 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import Recording
 from handmap_qp.mapping import Shape, distances_to, nearest
-from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .fidelity import SETTLING
 from .hand_trace import TIP, HandTrace
 from .trajectory import RobotMotion

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
+from handmap_core.errors import expect
 from handmap_qp.apps.arguments import MappingArguments, hinted
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.tables import print_rows, progress
-from handmap_qp.errors import expect
 from handmap_qp.hands import load_hand, sided_name
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person

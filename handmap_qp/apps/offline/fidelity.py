@@ -19,11 +19,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from handmap_qp.apps.tables import rows_of
-from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Hand, PalmKinematics, Values, find_fingers
-from handmap_qp.mapping import MotionEstimator, polar
-from handmap_qp.se3 import (
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     inverse_pose,
     lengths,
@@ -31,6 +28,9 @@ from handmap_qp.se3 import (
     transform_points,
     unit,
 )
+from handmap_qp.apps.tables import rows_of
+from handmap_qp.hands import THUMB, Hand, PalmKinematics, Values, find_fingers
+from handmap_qp.mapping import MotionEstimator, polar
 from .hand_trace import (
     KNUCKLE,
     MIDDLE,

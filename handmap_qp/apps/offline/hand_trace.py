@@ -9,6 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import (
+    Array,
+    affine,
+    inverse_pose,
+    nearest_rotation,
+    rigid_fit,
+    transform_points,
+)
+from handmap_core.se3 import lengths as norms
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -20,15 +29,6 @@ from handmap_qp.hands import (
     find_fingers,
 )
 from handmap_qp.human import FIRST_JOINTS, PALM, TIPS, palm_fit_weights
-from handmap_qp.se3 import (
-    Array,
-    affine,
-    inverse_pose,
-    nearest_rotation,
-    rigid_fit,
-    transform_points,
-)
-from handmap_qp.se3 import lengths as norms
 
 MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""

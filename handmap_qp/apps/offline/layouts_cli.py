@@ -6,10 +6,10 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
+from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing import save_layout_picture
 from handmap_qp.apps.tables import print_result
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Values
 from handmap_qp.output_files import check_new, check_output, replaced_file
 from handmap_qp.trackers import LAYOUTS, Layout, load_layout, table_text

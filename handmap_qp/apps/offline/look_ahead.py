@@ -19,8 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from handmap_qp.human import PALM, Recording
-from handmap_qp.se3 import (
+from handmap_core.se3 import (
     Array,
     affine,
     inverse_pose,
@@ -28,6 +27,7 @@ from handmap_qp.se3 import (
     rotation_from_quat_wxyz,
     transform_points,
 )
+from handmap_qp.human import PALM, Recording
 from .trajectory import held_samples, stretches
 
 CUTOFF = 6.0

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, Arrays, as_floats, lengths
 from handmap_qp.hands import FINGERS
 from handmap_qp.human import Recording, tip_gaps
-from handmap_qp.se3 import Array, Arrays, as_floats, lengths
 from .hand_trace import angles_between
 
 STRAIGHT = 60.0

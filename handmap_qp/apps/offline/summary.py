@@ -5,9 +5,9 @@ from collections import Counter
 import msgspec
 import numpy as np
 
+from handmap_core.se3 import lengths
 from handmap_qp.hands import Values
 from handmap_qp.mapping import arm_held_by
-from handmap_qp.se3 import lengths
 from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2

@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import (
     THUMB,
     Hand,
@@ -15,7 +16,6 @@ from handmap_qp.hands import (
 )
 from handmap_qp.ik import core_tree, pair_bounds
 from handmap_qp.mapping import robot_fingers
-from handmap_qp.se3 import Array
 from .hand_trace import ByFinger
 
 FAR = 0.01

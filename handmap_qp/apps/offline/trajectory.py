@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from handmap_core.errors import InvalidInputError
+from handmap_core.se3 import Array, Arrays, lengths
 from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import (
     RULES,
@@ -23,7 +24,6 @@ from handmap_qp.human import (
     scaled_human,
 )
 from handmap_qp.mapping import HandMapper, MapStep, RobotMapper, RobotStep
-from handmap_qp.se3 import Array, Arrays, lengths
 from handmap_qp.stream import (
     RULE_NAMES,
     STATUS_NAMES,

@@ -8,8 +8,8 @@ from itertools import chain
 
 import numpy as np
 
+from handmap_core.se3 import Array, lengths, unit
 from handmap_qp.hands import Side, human
-from handmap_qp.se3 import Array, lengths, unit
 from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
 from .robot import Robot

@@ -12,8 +12,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.errors import HandError
+from handmap_core.se3 import box_of, lengths
 from handmap_qp.apps.tables import rows_of
-from handmap_qp.errors import HandError
 from handmap_qp.hands import (
     Hand,
     HandSpec,
@@ -33,7 +34,6 @@ from handmap_qp.hands import (
     urdf_path,
 )
 from handmap_qp.mapping import distance
-from handmap_qp.se3 import box_of, lengths
 from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, NARROW, Clue, angle_between
 from .collision_pairs import colliding_links

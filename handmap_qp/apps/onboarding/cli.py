@@ -7,9 +7,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from handmap_core.errors import expect
 from handmap_qp.apps.arguments import HandName, InputArguments, InputFlags, hinted
 from handmap_qp.apps.tables import print_result, print_rows, progress
-from handmap_qp.errors import expect
 from handmap_qp.hands import HUMAN_HANDS, Hand, Names, Side, Values, load_hand
 from handmap_qp.output_files import check_output
 from .check import check_hand, check_robot

@@ -7,7 +7,8 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandmapError
+from handmap_core.errors import HandmapError
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import (
     THUMB,
     CollisionSpec,
@@ -21,7 +22,6 @@ from handmap_qp.hands import (
     random_postures,
     read_collision_shapes,
 )
-from handmap_qp.se3 import Array, lengths
 from .detect import Detection
 
 MARGIN = 0.0005

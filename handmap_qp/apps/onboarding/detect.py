@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, lengths, transform_points
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -26,7 +27,6 @@ from handmap_qp.hands import (
     WristSpec,
     ball_in,
 )
-from handmap_qp.se3 import Array, lengths, transform_points
 from .anatomy import Anatomy
 from .robot import Robot
 from .structure import Clue, RobotFinger, find_palms, find_structure

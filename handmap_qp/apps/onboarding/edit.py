@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.errors import HandError, expect
+from handmap_core.errors import HandError, expect
+from handmap_core.se3 import Array
 from handmap_qp.hands import (
     OTHER_SIDE,
     THUMB,
@@ -20,7 +21,6 @@ from handmap_qp.hands import (
     load_hand,
     urdf_path,
 )
-from handmap_qp.se3 import Array
 from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import colliding_links, with_collision_pairs
 from .detect import Detection, detect

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional
 
+from handmap_core.se3 import Array, inverse_pose, transform_points
 from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.viewer.controls import add_controls, reporting
 from handmap_qp.apps.viewer.figure import place_node
@@ -20,7 +21,6 @@ from handmap_qp.hands import (
     finger_tips,
     load_hand,
 )
-from handmap_qp.se3 import Array, inverse_pose, transform_points
 from . import edit
 from .detect import Detection, detect
 from .gestures import draw_gestures

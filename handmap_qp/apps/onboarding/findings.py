@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal, NamedTuple, get_args
 
-from handmap_qp.errors import HandError, HandmapError
+from handmap_core.errors import HandError, HandmapError
 from handmap_qp.hands import Hand, Values
 
 MOST_NAMES = 3

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from handmap_core.se3 import Array, lengths, unit
 from handmap_qp.hands import (
     PARALLEL,
     Finger,
@@ -17,7 +18,6 @@ from handmap_qp.hands import (
     ends_of,
     nearing,
 )
-from handmap_qp.se3 import Array, lengths, unit
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6

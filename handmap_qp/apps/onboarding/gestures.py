@@ -1,5 +1,7 @@
 """Gestures of the recording that comes with the package, mapped to a hand: `draw_gestures`."""
 
+from handmap_core.errors import HandError
+from handmap_core.se3 import Arrays
 from handmap_qp.apps.drawing.contact_sheet import pose_pictures, sheet_rows
 from handmap_qp.apps.offline.comparison import (
     compare_methods,
@@ -8,10 +10,8 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.poses import find_poses
-from handmap_qp.errors import HandError
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import default_preset
-from handmap_qp.se3 import Arrays
 from handmap_qp.trackers import DEMO, read_recording
 
 GESTURES = ("open", "pointing", "fist", "index pinch", "middle pinch")

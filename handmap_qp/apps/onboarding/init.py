@@ -5,7 +5,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
 from handmap_qp.hands import Hand, Names, Side, load_hand, load_robot
 from .detect import Detection, detect_hands
 from .edit import described

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from handmap_core.errors import expect
+from handmap_core.se3 import Array
 from handmap_qp.apps.tables import rows_of
-from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Values, load_hand
 from handmap_qp.human import Recording, human_name, mirrored, scaled_human
 from handmap_qp.mapping import HandPair
-from handmap_qp.se3 import Array
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
 _SCALE = 1e4

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from handmap_core.se3 import Array, Arrays, affine, lengths, unit
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.apps.tables import rows_of, table_rows
@@ -29,7 +30,6 @@ from handmap_qp.mapping import (
     rotation_onto,
     touching_distances,
 )
-from handmap_qp.se3 import Array, Arrays, affine, lengths, unit
 from handmap_qp.trackers import first_of
 from .anatomy import angle_between
 from .collision_pairs import joined_notes

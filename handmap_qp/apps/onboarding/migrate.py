@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from handmap_qp.errors import HandError
+from handmap_core.errors import HandError
 from handmap_qp.hands import Names, PointSpec, read_yaml
 from handmap_qp.human import LANDMARK_NAMES, TIPS
 from .detect import Detection, detect, point_sets

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handmap_core.se3 import inverse_pose, lengths, transform_points, unit
 from handmap_qp.apps.drawing import (
     AXIS_COLOURS,
     PANEL,
@@ -23,7 +24,6 @@ from handmap_qp.apps.drawing.contact_sheet import (
 )
 from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import resting_posture
-from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 from .match import Match
 
 _OTHER_COLOUR = (0.25, 0.25, 0.28)

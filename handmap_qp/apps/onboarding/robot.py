@@ -15,8 +15,9 @@ from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
+from handmap_core.errors import HandError, reason_of
+from handmap_core.se3 import Array, box_of, inverse_pose, lengths, transform_points
 from handmap_qp.apps.drawing import shape_meshes
-from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands import (
     MOVABLE,
     USUAL_SPEEDS,
@@ -36,7 +37,6 @@ from handmap_qp.hands import (
     parse_urdf,
     root_links,
 )
-from handmap_qp.se3 import Array, box_of, inverse_pose, lengths, transform_points
 from handmap_qp.trackers import first_of
 
 # Assumed ranges [rad or m] of joints without limits in the URDF.

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import HandSpec, LimitSpec
-from handmap_qp.se3 import Array
 
 MAKERS = msgspec.yaml.decode(
     Path(__file__).with_suffix(".yaml").read_bytes(), type=dict[str, tuple[float, str]]

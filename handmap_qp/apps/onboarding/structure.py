@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
 from handmap_qp.hands import Finger, ends_of, origin_of
-from handmap_qp.se3 import Array, box_of, lengths, transform_points, unit
 from .robot import Robot
 
 LONGEST_FINGER = 0.3

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 import yaml
 
-from handmap_qp.errors import (
+from handmap_core.errors import (
     HandError,
     MissingExtraError,
     MissingPackageError,

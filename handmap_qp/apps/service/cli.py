@@ -10,7 +10,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from handmap_qp.errors import MissingExtraError
+from handmap_core.errors import MissingExtraError
 from .settings import Settings
 
 SCHEMAS = {

@@ -15,8 +15,8 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.client import messages
-from handmap_qp.client.messages import (
+from handmap_core.client import messages
+from handmap_core.client.messages import (
     LARGEST,
     NAME,
     AnyReply,
@@ -42,7 +42,7 @@ from handmap_qp.client.messages import (
     Stop,
     Subscribe,
 )
-from handmap_qp.errors import RefusedError
+from handmap_core.errors import RefusedError
 from .fairness import AccountBuckets
 from .logs import Throttle
 from .safety import BURST, Bucket, refuse_if

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from zmq.auth import create_certificates, load_certificate
 
+from handmap_core.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from .logs import Throttle, report
 
 _KEY_LENGTH = 40

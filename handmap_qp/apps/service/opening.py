@@ -15,14 +15,16 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from msgspec import structs
 
-from handmap_qp.client.messages import Configure, Open, Step, with_changes
-from handmap_qp.errors import (
+from handmap_core.client.messages import Configure, Open, Step, with_changes
+from handmap_core.errors import (
     HandError,
     HandmapError,
     InvalidInputError,
     InvalidOptionsError,
     RefusedError,
 )
+from handmap_core.options import Options
+from handmap_core.se3 import Array
 from handmap_qp.hands import (
     HUMAN_HANDS,
     Hand,
@@ -68,8 +70,6 @@ from handmap_qp.mapping import (
     preset_with,
 )
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.options import Options
-from handmap_qp.se3 import Array
 from handmap_qp.stream import (
     Follower,
     GripFollower,

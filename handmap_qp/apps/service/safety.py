@@ -18,8 +18,9 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.client.messages import Open
-from handmap_qp.errors import RefusedError
+from handmap_core.client.messages import Open
+from handmap_core.errors import RefusedError
+from handmap_core.se3 import Array, frozen
 from handmap_qp.hands import Hand
 from handmap_qp.ik import (
     SHORTEST_DT,
@@ -30,7 +31,6 @@ from handmap_qp.ik import (
     When,
 )
 from handmap_qp.mapping import RobotCommand
-from handmap_qp.se3 import Array, frozen
 from handmap_qp.stream import BEHIND
 
 HEARTBEAT = 0.1

@@ -27,9 +27,9 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
+from handmap_core.client.messages import TOPIC_END
+from handmap_core.errors import InvalidOptionsError, expect
 from handmap_qp.apps.refusals import naming
-from handmap_qp.client.messages import TOPIC_END
-from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
 from .dispatch import Dispatcher

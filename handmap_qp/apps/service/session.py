@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from handmap_qp.client.messages import (
+from handmap_core.client.messages import (
     About,
     AnyReply,
     Command,
@@ -37,12 +37,12 @@ from handmap_qp.client.messages import (
     State,
     Step,
 )
-from handmap_qp.errors import HandmapError, RefusedError
+from handmap_core.errors import HandmapError, RefusedError
+from handmap_core.se3 import Array
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
 from handmap_qp.mapping import MapStep, check_joints
-from handmap_qp.se3 import Array
 from handmap_qp.stream import FollowingCheck, ObjectFollower
 from handmap_qp.trackers import LAYOUTS
 from .opening import (

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from handmap_qp.client.messages import Error, Open
-from handmap_qp.errors import RefusedError
+from handmap_core.client.messages import Error, Open
+from handmap_core.errors import RefusedError
 from handmap_qp.hands import Names, Values
 from .fairness import AccountBuckets, FairWorker, has_share, largest_account
 from .logs import AuditLog, Metrics, report

@@ -6,8 +6,8 @@ from typing import Annotated, Self
 
 from tyro.conf import Suppress
 
+from handmap_core.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.apps.addresses import bare_host, check_port, is_loopback
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
 MOST_SESSIONS = 128
 """Largest number of open sessions; the store keeps at least as many postures of each owner."""

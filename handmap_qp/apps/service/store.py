@@ -19,8 +19,8 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
-from handmap_qp.se3 import Array
+from handmap_core.errors import InvalidInputError, RefusedError, reason_of
+from handmap_core.se3 import Array
 from .fairness import largest_account
 from .logs import Throttle, report
 from .settings import MOST_SESSIONS

@@ -29,8 +29,8 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
+from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import InvalidInputError
 from .dispatch import NO_VALUE, Dispatcher
 from .fairness import crowded_accounts
 from .logs import report, websocket_log

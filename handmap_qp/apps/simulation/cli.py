@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
+from handmap_core.errors import InvalidInputError, expect
 from handmap_qp.apps.arguments import (
     FileSide,
     HandName,
@@ -16,7 +17,6 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import Row, print_result
-from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import (
     Hand,
     Names,

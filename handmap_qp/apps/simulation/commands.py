@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.se3 import Array, rigid_fit, unit
 from handmap_qp.apps.arguments import InputArguments, MappingArguments
 from handmap_qp.apps.offline.comparison import (
     LOOK_AHEAD,
@@ -25,7 +27,6 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.trajectory import RobotMotion, map_hands, stretches
 from handmap_qp.apps.tables import progress
-from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Hand, Names, Side, joined
 from handmap_qp.human import (
     PALM,
@@ -35,7 +36,6 @@ from handmap_qp.human import (
     scaled_human,
     tip_gaps,
 )
-from handmap_qp.se3 import Array, rigid_fit, unit
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import read_hands, read_recording
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from handmap_qp.hands import (
     Hand,
     Values,
@@ -21,7 +22,6 @@ from handmap_qp.hands import (
     torque_limits,
 )
 from handmap_qp.mapping import Cylinder, Shape, geometry_of
-from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from .physics import Physics
 
 OBJECT = "/object"

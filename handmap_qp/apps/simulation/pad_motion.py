@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, lengths, transform_points
 from handmap_qp.apps.offline.comparison import Take
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.tables import Row
 from handmap_qp.hands import THUMB, Hand, PadPair, PalmKinematics, find_pads
-from handmap_qp.se3 import Array, lengths, transform_points
 from .commands import PinchWindow
 
 INDEX = "index"

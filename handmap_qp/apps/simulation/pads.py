@@ -7,10 +7,10 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
+from handmap_core.se3 import Array, lengths, transform_points, unit
 from handmap_qp.hands import THUMB, Hand, PadPair
 from handmap_qp.mapping import robot_fingers
-from handmap_qp.se3 import Array, lengths, transform_points, unit
 from .losses import PRESSED, Touch
 from .pad_motion import INDEX
 from .simulator import Simulator

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.options import NotNegative, Options, Positive
+from handmap_core.se3 import Array, lengths, unit
 from handmap_qp.hands import SLIDING_STIFFNESS, STIFFNESS, Vector
 from handmap_qp.human import axis_direction
-from handmap_qp.options import NotNegative, Options, Positive
-from handmap_qp.se3 import Array, lengths, unit
 
 _GRAVITY = 9.81  # m/s^2
 # As in the worlds of Leap Motion, OpenXR and WebXR.

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from handmap_core.errors import require
+from handmap_core.se3 import Array, affine
 from handmap_qp.apps.drawing.hands import UPRIGHT, load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
-from handmap_qp.errors import require
 from handmap_qp.mapping import surface
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array, affine
 from .physics import turn_up
 from .simulator import Episode, Instant
 

@@ -19,8 +19,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.se3 import (
+    Array,
+    Arrays,
+    affine,
+    inverse_pose,
+    lengths,
+    rotation_from_rpy,
+)
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Vector
 from handmap_qp.mapping import (
     KINDS,
@@ -29,14 +37,6 @@ from handmap_qp.mapping import (
     Sphere,
     parse_object,
     surface,
-)
-from handmap_qp.se3 import (
-    Array,
-    Arrays,
-    affine,
-    inverse_pose,
-    lengths,
-    rotation_from_rpy,
 )
 from .commands import PinchWindow
 from .losses import Loss, Touch, loss_in_try

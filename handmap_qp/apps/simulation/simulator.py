@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_core.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import Shape
-from handmap_qp.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
 from .model import MOCAP, OBJECT, TABLE, WRIST, build_model
 from .physics import Physics
 

@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from handmap_core.errors import InvalidInputError, reason_of
 from handmap_qp.apps.tables import Row, progress
-from handmap_qp.errors import InvalidInputError, reason_of
 from .pinch import PinchOutcome, PinchScene, PinchTrial
 from .pinch_rows import OUTCOME_COLUMNS, outcome_row, success_rate, trial_row
 

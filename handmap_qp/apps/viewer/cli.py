@@ -8,6 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
+from handmap_core.errors import InvalidInputError, did_you_mean, expect, require
 from handmap_qp.apps.addresses import check_port
 from handmap_qp.apps.arguments import (
     InputArguments,
@@ -21,7 +22,6 @@ from handmap_qp.apps.arguments import (
     person_of,
     read_robot,
 )
-from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
 from handmap_qp.hands import joined
 from handmap_qp.human import fit_recording
 from handmap_qp.mapping import possible_presets

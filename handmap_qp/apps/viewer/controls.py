@@ -18,11 +18,11 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import HandmapError
+from handmap_core.errors import HandmapError
+from handmap_core.options import Option, Options, options_of
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.mapping import PRESETS, Choice
-from handmap_qp.options import Option, Options, options_of
-from handmap_qp.se3 import Array
 from .gauges import Gauges
 from .sample import Variant
 from .scene import Display, HandScene

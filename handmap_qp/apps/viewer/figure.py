@@ -11,6 +11,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handmap_core.se3 import (
+    Array,
+    Arrays,
+    box_of,
+    inverse_pose,
+    mirror_sign,
+    quat_wxyz_from_rotation,
+    transform_points,
+)
 from handmap_qp.apps.drawing import (
     HUMAN_COLOUR,
     ROBOT_COLOUR,
@@ -20,15 +29,6 @@ from handmap_qp.apps.drawing import (
 )
 from handmap_qp.hands import Hand, Values, finger_tips, joined
 from handmap_qp.human import TIPS
-from handmap_qp.se3 import (
-    Array,
-    Arrays,
-    box_of,
-    inverse_pose,
-    mirror_sign,
-    quat_wxyz_from_rotation,
-    transform_points,
-)
 from handmap_qp.trackers import BONES, NEIGHBOURS
 from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer

@@ -6,12 +6,12 @@ from itertools import cycle
 
 import numpy as np
 
+from handmap_core.errors import HandError
+from handmap_core.se3 import Array
 from handmap_qp.apps.drawing import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.errors import HandError
 from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, Values, find_fingers
 from handmap_qp.human import tip_gaps
-from handmap_qp.se3 import Array
 from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, known
 from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer

@@ -8,7 +8,7 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
-from handmap_qp.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError
 from handmap_qp.mapping import options_text, possible_presets
 from .controls import SteeringControls, Window, add_controls, say
 from .page import make_page

@@ -13,10 +13,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from handmap_core.client import Command, KeyFiles
+from handmap_core.client.messages import Pose
+from handmap_core.errors import HandmapError, InvalidInputError
+from handmap_core.se3 import rigid_fit
 from handmap_qp.apps.connection import FAILURES, connected, only_session
-from handmap_qp.client import Command, KeyFiles
-from handmap_qp.client.messages import Pose
-from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import (
     Hand,
     HumanLengths,
@@ -28,7 +29,6 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import LandmarkFitter
 from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
-from handmap_qp.se3 import rigid_fit
 from .sample import HumanView, ViewSample
 
 # Longest wait for an answer once the session is shown [s].

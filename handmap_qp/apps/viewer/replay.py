@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError
 from handmap_qp.hands import Hand, Names, Side, Values
 from handmap_qp.human import HumanMotion, Recording
 from handmap_qp.mapping import (

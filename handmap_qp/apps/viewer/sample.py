@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import Choice
-from handmap_qp.se3 import Array, lengths
 
 
 class HumanView(NamedTuple):

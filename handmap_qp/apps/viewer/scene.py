@@ -13,10 +13,10 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
+from handmap_core.se3 import Array, unit
 from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import rotation_of
-from handmap_qp.se3 import Array, unit
 from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
 from .sample import Variant, ViewSample
 from .serving import ViserServer

@@ -10,9 +10,9 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from handmap_core.errors import expect, require
 from handmap_qp.apps.addresses import is_loopback, names_loopback
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import expect, require
 
 if TYPE_CHECKING:
     from viser import ViserServer

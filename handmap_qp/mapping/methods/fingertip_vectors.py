@@ -20,7 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.options import Positive
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import (
     FOLLOWING,
@@ -37,8 +39,6 @@ from handmap_qp.mapping import (
     require_points,
     robot_fingers,
 )
-from handmap_qp.options import Positive
-from handmap_qp.se3 import Array, lengths
 
 
 class FingertipVectorMap(PalmMap):

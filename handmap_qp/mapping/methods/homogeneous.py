@@ -16,10 +16,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.core import core
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.models import HomogeneousModel, encode
+from handmap_core.options import NotNegative, Share, number
+from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from handmap_qp.hands import Hand
 from handmap_qp.ik import IkOptions
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -36,9 +39,6 @@ from handmap_qp.mapping import (
     rotation_of,
 )
 from handmap_qp.mapping.decomposition import about, polar
-from handmap_qp.models import HomogeneousModel, encode
-from handmap_qp.options import NotNegative, Share, number
-from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
 class HomogeneousMap(CoreMap):

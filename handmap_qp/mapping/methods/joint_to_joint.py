@@ -24,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.se3 import Array, frozen, lengths, unit
 from handmap_qp.hands import (
     FINGERS,
     HUMAN_JOINTS,
@@ -51,7 +52,6 @@ from handmap_qp.mapping import (
     require_points,
     robot_fingers,
 )
-from handmap_qp.se3 import Array, frozen, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0

@@ -15,7 +15,19 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.core import core
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.models import TeleoperationModel, encode
+from handmap_core.options import Share, number
+from handmap_core.se3 import (
+    Array,
+    affine,
+    inverse_pose,
+    lengths,
+    mirror_sign,
+    smoothstep,
+    transform_points,
+)
 from handmap_qp.hands import (
     CONTACT_GAP,
     FINGERS,
@@ -28,7 +40,6 @@ from handmap_qp.hands import (
     yield_to,
 )
 from handmap_qp.ik import IkOptions
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -48,17 +59,6 @@ from handmap_qp.mapping.hand_pair import (
     touching_distances,
 )
 from handmap_qp.mapping.palm import point_indices
-from handmap_qp.models import TeleoperationModel, encode
-from handmap_qp.options import Share, number
-from handmap_qp.se3 import (
-    Array,
-    affine,
-    inverse_pose,
-    lengths,
-    mirror_sign,
-    smoothstep,
-    transform_points,
-)
 
 # Constants of pinch rows, at `picking` 0 and 1: thumb-finger gaps [m] at which a row begins, and
 # over which its weight rises to full.

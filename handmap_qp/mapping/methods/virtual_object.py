@@ -34,7 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
+from handmap_core.errors import DegeneratePointsError, InvalidOptionsError
+from handmap_core.options import NotNegative, Positive
+from handmap_core.se3 import Array, lengths, mirror_sign, nearest_rotation
 from handmap_qp.hands import FINGERS, Hand
 from handmap_qp.mapping import (
     FOLLOWING,
@@ -46,8 +48,6 @@ from handmap_qp.mapping import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.options import NotNegative, Positive
-from handmap_qp.se3 import Array, lengths, mirror_sign, nearest_rotation
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
 # first.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import Recording, regular_time
 from handmap_qp.plugins import Plugins

@@ -14,11 +14,11 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from handmap_qp.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError
+from handmap_core.se3 import Array, Arrays, as_floats
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array, Arrays, as_floats
 from .base import (
     COLUMNS,
     SIDES,

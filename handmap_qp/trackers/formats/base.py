@@ -9,13 +9,14 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from handmap_qp.errors import (
+from handmap_core.errors import (
     HandmapError,
     InvalidInputError,
     RecordingError,
     expect,
     reason_of,
 )
+from handmap_core.se3 import Array, affine, as_floats, pose_from_xyz_quat
 from handmap_qp.hands import SIDES as SIDES
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import (
@@ -26,7 +27,6 @@ from handmap_qp.human import (
     finite_samples,
     regular_time,
 )
-from handmap_qp.se3 import Array, affine, as_floats, pose_from_xyz_quat
 
 COLUMNS: dict[str, Names] = {
     "time": ("time",),

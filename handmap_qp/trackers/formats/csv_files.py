@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.se3 import Arrays
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Arrays
 from .base import (
     COLUMNS,
     WORDS,

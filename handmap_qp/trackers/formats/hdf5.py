@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_core.errors import InvalidInputError, expect, require
+from handmap_core.se3 import Array, affine
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
-from handmap_qp.se3 import Array, affine
 from handmap_qp.trackers.wrist_axes import palm_axes
 from .archive import LARGEST_ARCHIVE
 from .base import (

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_core.errors import InvalidInputError, expect, require
+from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
-from handmap_qp.se3 import Array, Arrays
 from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
 
 VERSION = "v3.0"

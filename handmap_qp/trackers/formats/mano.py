@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import InvalidInputError, RecordingError, expect
+from handmap_core.se3 import Array, Arrays, affine, as_floats, transform_points
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
-from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import OF_MANO, member_names, read_archive, save_npz
 from .base import Entry, RecordingFormat, build_recording, reading, side_of
 from .pickled import Sparse, read_table

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
+from handmap_core.errors import InvalidInputError, RecordingError, expect, require
+from handmap_core.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
 from handmap_qp.hands import HUMAN_JOINTS, Names, Side, load_hand
 from handmap_qp.human import (
     LANDMARK_COUNT,
@@ -19,7 +20,6 @@ from handmap_qp.human import (
     human_name,
 )
 from handmap_qp.output_files import replaced_path
-from handmap_qp.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
 from .base import (
     SIDES,
     Entry,

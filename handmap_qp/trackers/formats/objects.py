@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import require
+from handmap_core.errors import require
+from handmap_core.se3 import Array, Arrays, affine, as_floats, pose_from_xyz_quat
 from handmap_qp.hands import Names, Side
-from handmap_qp.se3 import Array, Arrays, affine, as_floats, pose_from_xyz_quat
 from .archive import read_archive
 from .base import SIDES, reading
 from .mano import (

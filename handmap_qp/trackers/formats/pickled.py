@@ -21,8 +21,8 @@ from typing import IO, NoReturn
 import numpy as np
 from numpy.lib.format import MAGIC_PREFIX
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import Values
-from handmap_qp.se3 import Array
 from .archive import LARGEST_ARCHIVE
 from .base import reading
 

@@ -6,9 +6,9 @@ Angles become landmarks through the human model, as long as the person where len
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import did_you_mean, expect
+from handmap_core.errors import did_you_mean, expect
+from handmap_core.se3 import Array, transform_points
 from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
-from handmap_qp.se3 import Array, transform_points
 from .base import Hands, Layout, Rows, sized_human
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0}

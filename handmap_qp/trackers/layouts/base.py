@@ -14,7 +14,15 @@ import numpy as np
 from msgspec import Struct, StructMeta
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, expect
+from handmap_core.errors import InvalidInputError, did_you_mean, expect
+from handmap_core.se3 import (
+    Array,
+    QuatOrder,
+    affine,
+    as_floats,
+    check_poses,
+    pose_from_xyz_quat,
+)
 from handmap_qp.hands import (
     OTHER_SIDE,
     Document,
@@ -36,14 +44,6 @@ from handmap_qp.human import (
     check_side,
     finite_samples,
     human_name,
-)
-from handmap_qp.se3 import (
-    Array,
-    QuatOrder,
-    affine,
-    as_floats,
-    check_poses,
-    pose_from_xyz_quat,
 )
 from handmap_qp.trackers.wrist_axes import axes_convention
 from . import LAYOUTS

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import InvalidInputError, RecordingError, expect
+from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import OTHER_SIDE, HumanLengths, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
-from handmap_qp.se3 import Array, Arrays
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import (
     SIDES,

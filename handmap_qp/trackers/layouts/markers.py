@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
+from handmap_core.se3 import FARTHEST, Array, rigid_fit, transform_points
 from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
 from handmap_qp.ik import IkOptions, PointIk
-from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
 from .base import Hands, Layout, Rows, sized_human
 
 _FIT = IkOptions(

@@ -3,16 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
-from handmap_qp.hands import Document, Hand, HumanLengths, Side
-from handmap_qp.human import (
-    LANDMARK_COUNT,
-    LANDMARK_NAMES,
-    PALM,
-    HumanSample,
-    landmarks_at_rest,
-)
-from handmap_qp.se3 import (
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     QuatOrder,
     affine,
@@ -21,6 +13,14 @@ from handmap_qp.se3 import (
     quat_wxyz_from_rotation,
     rigid_fit,
     transform_points,
+)
+from handmap_qp.hands import Document, Hand, HumanLengths, Side
+from handmap_qp.human import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    HumanSample,
+    landmarks_at_rest,
 )
 from .base import Hands, Layout, Rows, sized_human
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, expect, reason_of
+from handmap_core.errors import InvalidInputError, did_you_mean, expect, reason_of
 from . import LAYOUTS
 from .angles import AngleLayout
 from .base import Layout

@@ -7,12 +7,12 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from handmap_core.core import core
 from handmap_qp.errors import expect
 from handmap_qp.hands import configuration
 from handmap_qp.hands.configuration import AttachedPoints
 from handmap_qp.hands.pad import Pad
 from handmap_qp.hands.pad import PadPair as PadPair
-from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     as_floats,

@@ -1,7 +1,7 @@
-"""The compiled core (`handmap_qp/core`, C++), as Python sees it.
+"""The compiled core (`core/src`, C++), as Python sees it.
 
 Written by hand; `.ci/core_stub.py` compares it with the module. Models cross as
-their bytes (`handmap_qp.models.encode`). Arrays are of float64 and C-contiguous unless another type
+their bytes (`handmap_core.models.encode`). Arrays are of float64 and C-contiguous unless another type
 is named. What is taken as an `object` may be anything: where it is not plain numbers of the right
 shape, the answer is None, and Python looks at it.
 
@@ -16,12 +16,12 @@ from typing import Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from handmap_core.se3 import Array
 from handmap_qp.human.findings import FindingNumbers
 from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik.motion import When
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.mapping.method import CoreMap, RobotCommand, StepSummary, Targets
-from handmap_qp.se3 import Array
 
 _Made = TypeVar("_Made")
 

@@ -3,7 +3,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
-#include "ik_models.hpp"
+#include "handmap/ik_models.hpp"
 #include "mapper.hpp"
 
 using namespace nb::literals;

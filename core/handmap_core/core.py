@@ -1,4 +1,4 @@
-"""The compiled core (`handmap_qp/core`, C++): loaded once, or one error that says what is wrong."""
+"""The compiled core (`core/src`, C++): loaded once, or one error that says what is wrong."""
 
 import importlib
 import zlib
@@ -6,12 +6,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+_FOLDER = Path(__file__).parents[1]
+"""In a checkout, the folder of the distribution, which has the sources."""
+
 
 def fingerprint() -> str:
     """Return a fingerprint of the core's sources; empty in a wheel, which has none."""
-    sources = Path(__file__).parents[1] / "core"
-    files = sorted(sources.glob("*.[ch]pp"))
-    content = b"".join(file.read_bytes() for file in files)
+    headers = sorted((_FOLDER / "include" / "handmap").glob("*.hpp"))
+    sources = sorted((_FOLDER / "src").glob("*.[ch]pp"))
+    content = b"".join(file.read_bytes() for file in headers + sources)
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
@@ -22,10 +25,10 @@ def load_core() -> ModuleType:
         MissingCoreError: If it is missing, cannot be loaded, or is older than its sources.
     """
     # Not above: a build runs this file by itself, before anything else can be imported.
-    from handmap_qp.errors import MapperBusyError, MissingCoreError
+    from handmap_core.errors import MapperBusyError, MissingCoreError
 
     try:
-        module = importlib.import_module("handmap_qp._core")
+        module = importlib.import_module("handmap_core._core")
     except ImportError as error:
         problem = f"cannot be loaded ({error})"
         raise MissingCoreError(problem, command=_installing()) from error
@@ -37,15 +40,13 @@ def load_core() -> ModuleType:
 
 def _installing() -> str:
     """Return the command that installs the package again, with its core."""
-    checkout = Path(__file__).parents[2]
-    if (checkout / "pyproject.toml").is_file():
-        return f"pip install --no-deps --editable {checkout}"
-    package = __name__.partition(".")[0].replace("_", "-")
-    return f"pip install --no-deps --force-reinstall {package}"
+    if (_FOLDER / "pyproject.toml").is_file():
+        return f"pip install --no-deps --editable {_FOLDER}"
+    return "pip install --no-deps --force-reinstall handmap-core"
 
 
 if TYPE_CHECKING:
-    from handmap_qp import _core as core
+    from handmap_core import _core as core
 else:
     # None where a build runs this file by itself, for `fingerprint`.
     core = load_core() if __package__ else None

@@ -9,7 +9,7 @@
 #include <tuple>
 
 #include "arrays.hpp"
-#include "guard.hpp"
+#include "handmap/guard.hpp"
 
 namespace handmap {
 

@@ -1,6 +1,6 @@
 // Models: structs that Python has too, with the same fields, read from their bytes.
 //
-// A model has a name and lists its fields once, in the order of the class in handmap_qp/models:
+// A model has a name and lists its fields once, in the order of the class in handmap_core/models:
 //
 //     struct LimitsModel {
 //       static constexpr const char* kName = "LimitsModel";
@@ -14,7 +14,7 @@
 //       }
 //     };
 //
-// `decode<LimitsModel>(bytes)` reads what `models.encode` writes; see handmap_qp/models/encoding.py for
+// `decode<LimitsModel>(bytes)` reads what `models.encode` writes; see handmap_core/models/encoding.py for
 // the form. It reads bytes of files, so it trusts none: it never reads behind them, and every size is
 // compared with the bytes that are left before there is memory for it. The error, a
 // std::invalid_argument, names the field:

@@ -1,9 +1,9 @@
 // Hands as Python sees them: kinematics of points, the nearest posture, pairs of shapes.
 #include "bind.hpp"
 #include "arrays.hpp"
-#include "hand_model.hpp"
-#include "ik_models.hpp"
-#include "posture.hpp"
+#include "handmap/hand_model.hpp"
+#include "handmap/ik_models.hpp"
+#include "handmap/posture.hpp"
 
 namespace handmap {
 

@@ -5,9 +5,9 @@
 #include "bind.hpp"
 #include "arrays.hpp"
 #include "build_guard.hpp"
-#include "episode.hpp"
-#include "pair_models.hpp"
-#include "person.hpp"
+#include "handmap/episode.hpp"
+#include "handmap/pair_models.hpp"
+#include "handmap/person.hpp"
 
 using namespace nb::literals;
 

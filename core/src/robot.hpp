@@ -2,7 +2,7 @@
 #pragma once
 
 #include "mapper.hpp"
-#include "robot_model.hpp"
+#include "handmap/robot_model.hpp"
 
 namespace handmap {
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "build_guard.hpp"
-#include "smoothing.hpp"
+#include "handmap/smoothing.hpp"
 
 namespace handmap {
 

@@ -9,7 +9,7 @@
 #include "arrays.hpp"
 #include "build_guard.hpp"
 #include "build_smoothing.hpp"
-#include "run.hpp"
+#include "handmap/run.hpp"
 
 namespace handmap {
 

@@ -2,12 +2,12 @@
 #include <nanobind/nanobind.h>
 
 #include "bind.hpp"
-#include "hand_model.hpp"
-#include "ik_models.hpp"
-#include "limits.hpp"
-#include "method_models.hpp"
-#include "person_models.hpp"
-#include "robot_model.hpp"
+#include "handmap/hand_model.hpp"
+#include "handmap/ik_models.hpp"
+#include "handmap/limits.hpp"
+#include "handmap/method_models.hpp"
+#include "handmap/person_models.hpp"
+#include "handmap/robot_model.hpp"
 
 using namespace nb::literals;
 

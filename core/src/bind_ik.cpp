@@ -8,7 +8,7 @@
 #include <variant>
 
 #include "bind.hpp"
-#include "ik_models.hpp"
+#include "handmap/ik_models.hpp"
 #include "mapper.hpp"
 
 using namespace nb::literals;

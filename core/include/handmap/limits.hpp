@@ -118,7 +118,7 @@ struct Box {
   Vector lower, upper, least, most;
 };
 
-// A model; see models/limits.py.
+// A model; see handmap_core/models/limits.py.
 class BoxLimits {
  public:
   static constexpr const char* kName = "BoxLimits";

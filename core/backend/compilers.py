@@ -29,29 +29,29 @@ def check_compiler() -> None:
     """End the build with one line if there is no compiler to build with."""
     named = os.environ.get("CXX", "").split()
     if named and shutil.which(named[0]) is None:
-        sys.exit(f"handmap_qp: CXX names {named[0]}, which is not there; {ADVICE}.")
+        sys.exit(f"handmap_core: CXX names {named[0]}, which is not there; {ADVICE}.")
     if needs_zig() and find_spec("ziglang") is None:
         sys.exit(
-            f"handmap_qp: no C++ compiler was found, and no package ziglang; {ADVICE}, or: "
+            f"handmap_core: no C++ compiler was found, and no package ziglang; {ADVICE}, or: "
             "pip install ziglang"
         )
 
 
-def use_zig(folder: Path) -> list[str]:
+def use_zig(folder: Path) -> dict[str, str]:
     """Let CMake compile with Zig.
 
     Args:
         folder: Where the programs that stand for a compiler's are written.
 
     Returns:
-        Definitions for CMake.
+        Definitions for CMake by their names.
     """
     folder.mkdir(parents=True, exist_ok=True)
     os.environ["CXX"] = _script(folder / "zig-c++", _ZIG_CXX)
-    return [
-        f"CMAKE_AR={_script(folder / 'zig-ar', 'ar')}",
-        f"CMAKE_RANLIB={_script(folder / 'zig-ranlib', 'ranlib')}",
-    ]
+    return {
+        "CMAKE_AR": _script(folder / "zig-ar", "ar"),
+        "CMAKE_RANLIB": _script(folder / "zig-ranlib", "ranlib"),
+    }
 
 
 def _script(file: Path, words: str) -> str:

@@ -11,8 +11,8 @@
 #include <optional>
 #include <stdexcept>
 
-#include "busy.hpp"
-#include "step.hpp"
+#include "handmap/busy.hpp"
+#include "handmap/step.hpp"
 
 namespace nb = nanobind;
 

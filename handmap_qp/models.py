@@ -1,0 +1,35 @@
+"""What the compiled core is made of, under its public names; see `handmap_core.models`."""
+
+from handmap_core.models import BodyModel as BodyModel
+from handmap_core.models import BoxLimits as BoxLimits
+from handmap_core.models import CollisionModel as CollisionModel
+from handmap_core.models import DistancesModel as DistancesModel
+from handmap_core.models import EstimatorModel as EstimatorModel
+from handmap_core.models import Flags as Flags
+from handmap_core.models import FrameModel as FrameModel
+from handmap_core.models import GuardModel as GuardModel
+from handmap_core.models import HandModel as HandModel
+from handmap_core.models import HomogeneousModel as HomogeneousModel
+from handmap_core.models import IkModel as IkModel
+from handmap_core.models import Indices as Indices
+from handmap_core.models import JointModel as JointModel
+from handmap_core.models import LandmarkReaderModel as LandmarkReaderModel
+from handmap_core.models import Matrix as Matrix
+from handmap_core.models import Model as Model
+from handmap_core.models import PairsModel as PairsModel
+from handmap_core.models import PalmModel as PalmModel
+from handmap_core.models import PlaceModel as PlaceModel
+from handmap_core.models import Point as Point
+from handmap_core.models import Points as Points
+from handmap_core.models import Pose as Pose
+from handmap_core.models import Poses as Poses
+from handmap_core.models import RobotHandModel as RobotHandModel
+from handmap_core.models import RobotModel as RobotModel
+from handmap_core.models import Rotation as Rotation
+from handmap_core.models import ShapeModel as ShapeModel
+from handmap_core.models import TeleoperationModel as TeleoperationModel
+from handmap_core.models import Vector as Vector
+from handmap_core.models import YieldModel as YieldModel
+from handmap_core.models import encode as encode
+from handmap_core.models import encoded as encoded
+from handmap_core.models import unpacked as unpacked
