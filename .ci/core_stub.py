@@ -55,8 +55,9 @@ def _base_name(base: ast.expr) -> str:
 
 def compiled_names() -> dict[str, list[Signature]]:
     """Return the names of the compiled module."""
-    from handmap_core.core import load_core
     from nanobind.stubgen import StubGen
+
+    from handmap_core.core import load_core
 
     module = load_core()
     generator = StubGen(module)

@@ -1,9 +1,9 @@
 """The compiled core (`core/src`, C++), as Python sees it.
 
 Written by hand; `.ci/core_stub.py` compares it with the module. Models cross as
-their bytes (`handmap_core.models.encode`). Arrays are of float64 and C-contiguous unless another type
-is named. What is taken as an `object` may be anything: where it is not plain numbers of the right
-shape, the answer is None, and Python looks at it.
+their bytes (`handmap_core.models.encode`). Arrays are of float64 and C-contiguous unless another
+type is named. What is taken as an `object` may be anything: where it is not plain numbers of the
+right shape, the answer is None, and Python looks at it.
 
 Raises:
     ValueError: Of every call, if sizes or indices do not go together.

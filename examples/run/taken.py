@@ -1,6 +1,6 @@
-"""The Python of `handmap_run`: files of this tree that need numpy and msgspec alone, renamed.
+"""The Python of `handmap_run`: files of this tree that need no more than `handmap_core`, renamed.
 
-    python taken.py FOLDER        # writes FOLDER/handmap_run, all but the compiled core
+    python taken.py FOLDER        # writes FOLDER/handmap_run
 
 A robot's computer runs what `handmap_qp` runs, so there is no second text of it: files are taken as
 they are, but for the name of the package and for what numpy 1.26, or an environment without
@@ -24,19 +24,16 @@ ROOT = Path(__file__).parents[2] / "handmap_qp"
 OWN = Path(__file__).with_name("run")
 
 TAKEN = """
-errors se3 options
+errors se3 options models client/__init__ client/messages
 hands/configuration hands/pad
 human/findings human/recording human/sample
-models/__init__ models/encoding models/hand models/ik models/limits models/method
-models/person models/robot models/shapes
-ik/core ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
+ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/closing_pads stream/follower stream/following stream/grip stream/guard stream/hand_grip
 stream/object_place stream/robot_follower stream/step_table
 trackers/hand_geometry trackers/plausibility trackers/wrist_axes
-client/__init__ client/asynchronous client/blocking client/calls client/messages
 """
 DATA = ("human/rules.json",)
 
@@ -66,7 +63,7 @@ UNUSED = ("ik.mink_problem", "ik.solvers")
 ELSEWHERE = {"ik": {"PointIk": "saved"}}
 PACKAGES = ("human", "ik", "mapping", "stream", "trackers")
 # All that may be imported besides.
-PRESENT = {*sys.stdlib_module_names, "msgspec", "numpy", "zmq"}
+PRESENT = {*sys.stdlib_module_names, "handmap_core", "msgspec", "numpy"}
 
 
 def stop(problem: str) -> NoReturn:
@@ -159,7 +156,7 @@ def check_imports(written: dict[str, str], homes: dict[str, dict[str, str]]) -> 
 
 
 def write_package(folder: Path) -> Path:
-    """Write the package into a folder, all but the compiled core; return it."""
+    """Write the package into a folder; return it."""
     package = folder / NAME
     shutil.rmtree(package, ignore_errors=True)
     files = {f"{name}.py": ROOT / f"{name}.py" for name in TAKEN.split()}

@@ -19,14 +19,10 @@ import nanobind
 import pytest
 from pyproject_hooks import BuildBackendHookCaller
 
-import handmap_qp
-
 ROOT = Path(__file__).parents[2]
-CORE = ROOT / "handmap_qp" / "core"
-UNITS = sorted(CORE.glob("*.cpp"))
+CORE = ROOT / "core"
+UNITS = sorted((CORE / "src").glob("*.cpp"))
 NANOBIND = Path(nanobind.include_dir())
-# What a build of the package reads.
-SOURCES = ("handmap_qp", "urdf", ".ci", "pyproject.toml", "README.md", "LICENSE")
 
 
 def check_syntax(compiler: str, unit: Path) -> subprocess.CompletedProcess[str]:
@@ -38,8 +34,8 @@ def check_syntax(compiler: str, unit: Path) -> subprocess.CompletedProcess[str]:
     )
     words = [compiler, "-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
     words += ["-fvisibility=hidden"]
-    words += [f"-isystem{folder}" for folder in headers]
-    words += ["-DNB_DOMAIN=handmap_qp", '-DHANDMAP_SOURCES="none"', str(unit)]
+    words += [f"-I{CORE / 'include'}", *(f"-isystem{folder}" for folder in headers)]
+    words += ["-DNB_DOMAIN=handmap_core", '-DHANDMAP_SOURCES="none"', str(unit)]
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
@@ -64,13 +60,9 @@ def test_the_core_compiles_in_several_parts() -> None:
 
 
 @pytest.mark.parametrize("kind", ["wheel", "editable"])
-def test_pip_reads_the_metadata_without_a_build(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # By this variable hatchling knows pip, for which it has no hooks for metadata.
-    monkeypatch.setenv("PIP_BUILD_TRACKER", str(tmp_path))
+def test_pip_reads_the_metadata_without_a_build(kind: str, tmp_path: Path) -> None:
     backend = BuildBackendHookCaller(
-        str(ROOT), "backend", backend_path=[".ci"], python_executable=sys.executable
+        str(CORE), "backend", backend_path=["backend"], python_executable=sys.executable
     )
     prepare = {
         "wheel": backend.prepare_metadata_for_build_wheel,
@@ -78,33 +70,35 @@ def test_pip_reads_the_metadata_without_a_build(
     }
     name = prepare[kind](str(tmp_path), _allow_fallback=False)
     metadata = message_from_string((tmp_path / name / "METADATA").read_text("utf-8"))
-    assert metadata["Name"] == "handmap-qp"
-    assert f"handmap_qp-{metadata['Version']}.dist-info" == name
+    assert metadata["Name"] == "handmap-core"
+    assert f"handmap_core-{metadata['Version']}.dist-info" == name
     required = metadata.get_all("Requires-Dist") or []
     assert any(line.startswith("numpy") for line in required)
-    assert "service" in (metadata.get_all("Provides-Extra") or [])
+    assert "client" in (metadata.get_all("Provides-Extra") or [])
 
 
 def required_by(path: str, **variables: str) -> list[str]:
-    """Return what the backend asks for besides what pyproject.toml names."""
+    """Return the compilers that the backend asks for."""
     script = "import backend; print(*backend.get_requires_for_build_wheel())"
     environment = {name: value for name, value in os.environ.items() if name != "CXX"}
     done = subprocess.run(
         [sys.executable, "-c", script],
-        env=environment | {"PATH": path, "PYTHONPATH": str(ROOT / ".ci")} | variables,
+        cwd=CORE,
+        env=environment
+        | {"PATH": path, "PYTHONPATH": str(CORE / "backend")}
+        | variables,
         capture_output=True,
         text=True,
         check=True,
     )
-    return done.stdout.split()
+    return [name for name in done.stdout.split() if name.startswith("ziglang")]
 
 
 @pytest.mark.parametrize("name", ["c++", "g++", "clang++"])
 def test_a_build_asks_for_a_compiler_where_there_is_none(
     name: str, tmp_path: Path
 ) -> None:
-    (zig,) = required_by(str(tmp_path))
-    assert zig.startswith("ziglang")
+    assert len(required_by(str(tmp_path))) == 1
     assert required_by(str(tmp_path), CXX="/opt/own/c++") == []
     (tmp_path / name).write_text("#!/bin/sh\n")
     (tmp_path / name).chmod(0o755)
@@ -126,7 +120,7 @@ def test_a_build_without_a_compiler_ends_with_one_line(
         # Without packages, ziglang among them.
         [sys.executable, "-S", "-c", "import compilers; compilers.check_compiler()"],
         env=environment
-        | {"PATH": str(tmp_path), "PYTHONPATH": str(ROOT / ".ci")}
+        | {"PATH": str(tmp_path), "PYTHONPATH": str(CORE / "backend")}
         | variables,
         capture_output=True,
         text=True,
@@ -149,7 +143,7 @@ def test_where_compiling_fails_the_build_ends_and_says_how_to_go_on(
     }
     words = ["-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
     done = subprocess.run(
-        [sys.executable, *words, str(ROOT)],
+        [sys.executable, *words, str(CORE)],
         cwd=tmp_path,
         env=os.environ | broken,
         capture_output=True,
@@ -157,34 +151,33 @@ def test_where_compiling_fails_the_build_ends_and_says_how_to_go_on(
         check=False,
     )
     assert done.returncode != 0
-    assert "handmap_qp: compiling the core failed" in done.stderr + done.stdout
+    assert "handmap_core: compiling the core failed" in done.stderr + done.stdout
     assert not list(tmp_path.glob("*.whl"))
 
 
 @pytest.fixture
 def own_package(tmp_path: Path) -> Path:
-    """Copy the package with its core, which a test may break."""
-    package = Path(handmap_qp.__file__).parent
-    copied = tmp_path / "handmap_qp"
-    shutil.copytree(package, copied, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "urdf").symlink_to(package.parent / "urdf")
-    if not list(copied.glob("_core.*")):
+    """Copy the core's package with its sources, which a test may break."""
+    ignore = shutil.ignore_patterns("__pycache__", "build")
+    copied = shutil.copytree(CORE, tmp_path / "core", ignore=ignore) / "handmap_core"
+    if not list(copied.glob("_core.*.so")):
         pytest.skip("the core lies elsewhere")
     return copied
 
 
 def make_older(package: Path) -> None:
-    with (package / "core" / "qp.hpp").open("a", encoding="utf-8") as file:
+    header = package.parent / "include" / "handmap" / "qp.hpp"
+    with header.open("a", encoding="utf-8") as file:
         file.write("// another line\n")
 
 
 def remove(package: Path) -> None:
-    for file in package.glob("_core.*"):
+    for file in package.glob("_core.*.so"):
         file.unlink()
 
 
 def damage(package: Path) -> None:
-    for file in package.glob("_core.*"):
+    for file in package.glob("_core.*.so"):
         file.write_bytes(b"no library")
 
 
@@ -192,7 +185,7 @@ def run_in(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """Run Python with a copy of the package."""
     return subprocess.run(
         [sys.executable, *words],
-        cwd=package.parent,
+        cwd=package.parent.parent,
         env=os.environ | {"PYTHONPATH": str(package.parent)},
         capture_output=True,
         text=True,
@@ -242,16 +235,9 @@ def test_a_core_that_cannot_be_used_is_one_error_that_says_how_to_mend_it(
 
 @pytest.fixture
 def read_only_source(tmp_path: Path) -> Iterator[Path]:
-    """Copy all that a build reads, and remove the right to write."""
-    source = tmp_path / "source"
-    source.mkdir()
-    ignore = shutil.ignore_patterns("__pycache__", "_core.*")
-    for name in SOURCES:
-        at = ROOT / name
-        if at.is_dir():
-            shutil.copytree(at, source / name, ignore=ignore)
-        else:
-            shutil.copy2(at, source / name)
+    """Copy all that a build of the core reads, and remove the right to write."""
+    ignore = shutil.ignore_patterns("__pycache__", "_core.*.so", "build")
+    source = shutil.copytree(CORE, tmp_path / "source", ignore=ignore)
     places = [source, *source.rglob("*")]
     for place in places:
         place.chmod(place.stat().st_mode & ~0o222)
@@ -289,7 +275,7 @@ def test_a_read_only_source_gives_a_wheel_with_the_core(
     assert "Compiled the core" in done.stdout
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    assert any(name.startswith("handmap_qp/_core.") for name in names)
+    assert any(name.startswith("handmap_core/_core.") for name in names)
     assert sorted(read_only_source.rglob("*")) == before
 
 
@@ -302,7 +288,7 @@ def told(is_kept: bool, **environment: str) -> str:
         os.dup2(output, 1)
         os.environ.pop("MAKELEVEL", None)
         os.environ.update(environment)
-        os.chdir(ROOT / ".ci")
+        os.chdir(CORE / "backend")
         os.execv(sys.executable, [sys.executable, "-c", script])
     shown = b""
     with suppress(OSError):  # how Linux says that the terminal has been closed

@@ -51,10 +51,7 @@ from handmap_qp.hands import Side, load_robot
 from handmap_qp.mapping import RobotMapper, get_preset
 from handmap_qp.stream import RobotFollower
 
-# The core is compiled once more, as that of another package.
-pytestmark = [
-    pytest.mark.slow,
-]
+pytestmark = pytest.mark.slow
 CASES = [
     ("three_finger", "teleoperation"),
     ("three_finger", "object"),
@@ -122,11 +119,7 @@ def saved(site: Path, tmp_path: Path) -> Path:
 
 def test_both_packages_are_in_one_process(saved: Path) -> None:
     import handmap_run
-    from handmap_run import _core as own
 
-    from handmap_core import _core
-
-    assert own.Ik is not _core.Ik
     follower = handmap_run.load(saved)
     other = Follower(mapper_of(*CASES[0]))
     q = follower.mapper.human.rest

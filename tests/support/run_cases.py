@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib.util
 import os
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from copy import deepcopy
@@ -20,7 +16,6 @@ import numpy as np
 from faulty_recordings import DEMO
 from injection import inject, parse_faults
 
-from handmap_core.core import fingerprint
 from handmap_qp import Follower, HandMapper, HumanSample, load_hand
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.hands import Hand, Side, hand_files, load_robot, robot_files
@@ -39,7 +34,6 @@ from handmap_qp.trackers import LAYOUTS, read_hands, read_recording
 ROOT = Path(__file__).parents[2]
 SOURCES = ROOT / "examples" / "run"
 ALONE = ROOT / "tests" / "run" / "alone.py"
-_BUILT = ROOT / "build" / "run"
 
 FAULTS = (
     "",
@@ -66,40 +60,9 @@ def module_of(file: Path) -> ModuleType:
     return module
 
 
-def build_core() -> Path:
-    """Return the core of `handmap_run`, compiled if there is none of these sources (15 s).
-
-    Without optimization, which takes twice as long: it maps the same, slower. Of several processes
-    of a run of tests, one compiles and the others wait.
-    """
-    folder = _BUILT / f"{sys.implementation.cache_tag}-{fingerprint()}"
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "built").exists():
-            compile_core(folder)
-            (folder / "built").touch()
-    return next(folder.glob("_core*.so"))
-
-
-def compile_core(folder: Path) -> None:
-    """Compile the core of `handmap_run` in a folder."""
-    words = ["cmake", "-S", str(ROOT / "handmap_qp" / "core"), "-B", str(folder)]
-    choices = {
-        "CMAKE_BUILD_TYPE": "Release",
-        "CMAKE_CXX_FLAGS_RELEASE": "-O0 -DNDEBUG",
-        "HANDMAP_PACKAGE": "handmap_run",
-        "Python_EXECUTABLE": sys.executable,
-    }
-    words += ["-G", "Ninja", *(f"-D{name}={value}" for name, value in choices.items())]
-    for each in (words, ["cmake", "--build", str(folder)]):
-        subprocess.run(each, check=True, capture_output=True)
-
-
 def write_package(folder: Path) -> Path:
     """Write the package as its wheel has it, and return the folder that it is in."""
-    package = module_of(SOURCES / "taken.py").write_package(folder)
-    shutil.copy2(build_core(), package)
+    module_of(SOURCES / "taken.py").write_package(folder)
     return folder
 
 

@@ -1,6 +1,7 @@
-"""A robot's computer: the compiled core of handmap-qp, saved hands, the follower and the client.
+"""A robot's computer: saved hands, the follower and the client, by the core of handmap-qp.
 
-It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in handmap-qp too:
+It needs numpy (1.26 or later), msgspec, pyzmq and handmap-core. What follows here follows in
+handmap-qp too:
 
     from handmap_run import HumanSample, load
 
@@ -18,7 +19,7 @@ With the joints that its encoders measure, the hand holds what it meets, by torq
 
 __version__ = "0.2.0"
 
-from handmap_qp.errors import (
+from handmap_core.errors import (
     HandError,
     HandmapError,
     InvalidInputError,

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
+from handmap_core.errors import HandError, expect
 from handmap_qp.apps.arguments import (
     HandName,
     MappingArguments,
@@ -16,7 +17,6 @@ from handmap_qp.apps.arguments import (
     hinted,
 )
 from handmap_qp.apps.tables import print_rows
-from handmap_qp.errors import HandError, expect
 from handmap_qp.hands import Side, load_hand, load_whole
 from handmap_qp.human import human_name, read_person
 from handmap_qp.mapping import HandMapper, RobotMapper

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import msgspec
 
-from handmap_qp.models import unpacked
+from handmap_core.models import unpacked
 
 KIND = "handmap hand"
 HAND, ROBOT = 1, 2

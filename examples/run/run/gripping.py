@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
+from handmap_core.errors import expect
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.motion import When
 from handmap_qp.mapping.mapper import HandMapper

@@ -12,19 +12,6 @@ class SE3:
     """Stands for the type of Pinocchio's poses, which nobody has here."""
 
 
-class Quaternion:
-    """A unit quaternion of a rotation (3, 3)."""
-
-    def __init__(self, rotation) -> None:
-        self._xyzw = core.quat_xyzw(rotation)
-
-    def normalized(self) -> Quaternion:
-        return self
-
-    def coeffs(self):
-        return self._xyzw
-
-
 def neutral(model):
     """Return the configuration of a model at zero, shape (nq,)."""
     return model.neutral

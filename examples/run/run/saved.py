@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from handmap_core.errors import HandError
+from handmap_core.models import DistancesModel, EstimatorModel, TeleoperationModel
 from handmap_qp import __version__, mapping
-from handmap_qp.errors import HandError
 from handmap_qp.hands.pad import Pad
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
-from handmap_qp.models import DistancesModel, EstimatorModel, TeleoperationModel
 from handmap_qp.stream.follower import RejoinKind, Smoothing
 from handmap_qp.stream.hand_grip import GripOptions
 from .form import HAND, KIND, ROBOT, File, decode

@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 import handmap_qp
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
+from handmap_core.models import Model, encode
+from handmap_core.options import Options
 from handmap_qp.hands import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.compiled import hand_model
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
-from handmap_qp.models import Model, encode
-from handmap_qp.options import Options
 from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
 from .form import HAND, KIND, ROBOT, File

@@ -8,12 +8,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from handmap_core.core import core
-from handmap_qp.errors import expect
-from handmap_qp.hands import configuration
-from handmap_qp.hands.configuration import AttachedPoints
-from handmap_qp.hands.pad import Pad
-from handmap_qp.hands.pad import PadPair as PadPair
-from handmap_qp.se3 import (
+from handmap_core.errors import expect
+from handmap_core.se3 import (
     Array,
     as_floats,
     check_pose,
@@ -22,6 +18,10 @@ from handmap_qp.se3 import (
     quat_wxyz_from_rotation,
     transform_points,
 )
+from handmap_qp.hands import configuration
+from handmap_qp.hands.configuration import AttachedPoints
+from handmap_qp.hands.pad import Pad
+from handmap_qp.hands.pad import PadPair as PadPair
 
 Names = tuple[str, ...]
 Values = dict[str, Any]

@@ -2,7 +2,7 @@
 
 from typing import Any, NoReturn
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_core.errors import InvalidOptionsError
 from ..hands import Grasp, Hand
 
 

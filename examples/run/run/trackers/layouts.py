@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handmap_qp.se3 import Array
+from handmap_core.se3 import Array
 
 
 class Layout(NamedTuple):
