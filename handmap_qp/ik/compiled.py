@@ -1,6 +1,6 @@
 """The compiled core of a hand: its kinematics, made of the hand's model.
 
-The core (`handmap_qp/core`, C++) has kinematics, distances and a QP solver of its own.
+The core (`core`, C++) has kinematics, distances and a QP solver of its own.
 """
 
 from functools import lru_cache

@@ -1,7 +1,7 @@
 """The gate: every displacement of a robot passes it, whoever asks.
 
 Following, holding, stopping, slewing, both hands of a robot and grips all move the robot through
-it. What it admits, and why a stop is always possible behind that, is in `core/gate.hpp`.
+it. What it admits, and why a stop is always possible behind that, is in `handmap/gate.hpp`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Limits of displacements, as the gate takes them; `core/limits.hpp` has the formulas."""
+"""Limits of displacements, as the gate takes them; `handmap/limits.hpp` has the formulas."""
 
 from __future__ import annotations
 

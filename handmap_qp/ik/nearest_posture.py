@@ -6,7 +6,7 @@
 with the palm at rest. Targets may be out of reach, so the Hessian holds the curvature of the
 points' paths too: the second derivative of a point by the joints i and j, i nearer to the palm, is
 the axis of i times the point's derivative by j. Each step solves a QP with the joint limits. See
-`core/posture.hpp`.
+`handmap/posture.hpp`.
 """
 
 from handmap_core.se3 import Array

@@ -174,7 +174,7 @@ class Smoother:
     acceleration that a point may have, times the square of the time, over the noise. Two low-pass
     filters of the same share follow, which take from the jerk; the velocity makes up for their lag.
     Without noise, all shares are 1, and samples pass as they are. The compiled core filters
-    (`core/smoothing.hpp`).
+    (`handmap/smoothing.hpp`).
 
     Args:
         options: How much; None for not at all.

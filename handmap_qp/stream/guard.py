@@ -7,8 +7,8 @@ back to the hand afterwards.
 
 Time stamps jitter, repeat, arrive in disorder, and jump when the tracker's clock is set.
 `SampleClock` says what they mean, and all the rest counts in the time that it gives, never in
-samples. The compiled core decides (`core/stream_clock.hpp`, `core/guard.hpp`); `human.sample.RULES`
-has its rules in words.
+samples. The compiled core decides (`handmap/stream_clock.hpp`, `handmap/guard.hpp`);
+`human.sample.RULES` has its rules in words.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Measures of 21 landmarks that tell a hand in the right order from anything else.
 
 All of them are ratios or angles, so that they hold for every hand and in every unit of length. The
-compiled core has them (`core/hand_geometry.hpp`).
+compiled core has them (`handmap/hand_geometry.hpp`).
 """
 
 from typing import NamedTuple

@@ -4,7 +4,7 @@ Landmarks in another order, the other hand, a mirrored world, millimetres, milli
 that bend backwards or a wrist quaternion in another order map without an error, to nonsense.
 `InputCheck` measures what a human hand cannot do in small batches of samples, asks which mistake
 explains it, and names it. `check_recording` does the same for a file. The compiled core decides
-(`core/input.hpp`); `human.findings` has its findings in words.
+(`handmap/input.hpp`); `human.findings` has its findings in words.
 
     check = InputCheck("right")
     finding = check.update(time, landmarks, wrist)      # at every valid sample; None if plausible

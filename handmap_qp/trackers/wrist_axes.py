@@ -1,4 +1,4 @@
-"""Axes of wrists and palms. The compiled core compares them (`core/wrist_axes.hpp`)."""
+"""Axes of wrists and palms. The compiled core compares them (`handmap/wrist_axes.hpp`)."""
 
 import numpy as np
 

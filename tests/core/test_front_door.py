@@ -1,7 +1,7 @@
 """All that the README tells a reader to type works, in its order, after its own install line.
 
-The environment is fresh: the package's wheel with the extras that the line names, and nothing else.
-That installs half a gigabyte of packages, so `make full` does it.
+The environment is fresh: the package's wheels with the extras that the line names, and nothing
+else. That installs half a gigabyte of packages, so `make full` does it.
 `make demo` and `make test` make the environment that these tests run in.
 """
 
@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths.fresh import wheel
+from paths.fresh import wheels
 from readme_steps import README, count_steps, environment_of, run, run_steps, steps
 
 MOST_WORDS = 700
@@ -29,12 +29,13 @@ def environment(
     folder = tmp_path_factory.mktemp("environment")
     variables = environment_of(folder)
     run([sys.executable, "-m", "venv", str(folder)], folder, variables)
-    what = shlex.split(INSTALL)[2:]
-    (requirement,) = what
-    # The checkout as a wheel, which other tests have perhaps built.
-    built = requirement.replace(".", str(wheel()), 1)
+    core, library = shlex.split(INSTALL)[2:]
+    assert core == "./core"
+    # The checkout as wheels, which other tests have perhaps built.
+    core_wheel, library_wheel = map(str, wheels())
+    library = library.replace(".", library_wheel, 1)
     pip = [str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet"]
-    run([*pip, built], folder, variables)
+    run([*pip, core_wheel, library], folder, variables)
     return variables
 
 

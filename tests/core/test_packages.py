@@ -72,6 +72,20 @@ def test_other_files_have_the_version_of_the_library() -> None:
         assert f"{expected}\n" in (ROOT / name).read_text("utf-8"), name
 
 
+def test_the_core_has_the_version_of_the_library_and_its_bounds() -> None:
+    library, core = (
+        tomllib.loads((ROOT / folder / "pyproject.toml").read_text("utf-8"))["project"]
+        for folder in ("", "core")
+    )
+    assert core["version"] == library["version"]
+    assert f"handmap-core=={core['version']}" in library["dependencies"]
+    # A robot's computer may have an older numpy.
+    (msgspec,) = (each for each in core["dependencies"] if each.startswith("msgspec"))
+    assert msgspec in library["dependencies"]
+    client = core["optional-dependencies"]["client"]
+    assert {*client} <= {*library["optional-dependencies"]["service"]}
+
+
 def test_all_folders_of_packages_that_are_named_exist() -> None:
     files = [*PAGES, *(ROOT / "handmap_qp").rglob("*.py")]
     files += [file for package in PACKAGES for file in package.rglob("*.py")]

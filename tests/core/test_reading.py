@@ -80,7 +80,7 @@ def names_in_python(text: str) -> dict[str, int]:
 
 def lines_of(name: str) -> dict[str, int]:
     """Return the lines of each function and class of a file of the page."""
-    file = ROOT / "handmap_qp" / name
+    file = ROOT / ("" if name.startswith("core/") else "handmap_qp") / name
     text = file.read_text(encoding="utf-8")
     return names_in_cpp(text) if file.suffix == ".hpp" else names_in_python(text)
 

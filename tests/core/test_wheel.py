@@ -7,6 +7,7 @@ import os
 import site
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -26,7 +27,7 @@ ADDED = (
     "tune",
     "videos",
 )
-# The builds compile the core twice and take minutes, so `make full` runs the whole module.
+# The builds compile the core and take minutes, so `make full` runs the whole module.
 pytestmark = [pytest.mark.slow, pytest.mark.full]
 
 
@@ -61,18 +62,16 @@ def files_under(folder: Path) -> set[str]:
     return {
         path.as_posix()
         for path in relative
-        if not any(
-            part.startswith((".", "__pycache__", "_core.")) for part in path.parts
-        )
-        and path.parts[0] != "core"
+        if not any(part.startswith((".", "__pycache__")) for part in path.parts)
+        and path.suffix != ".so"
     }
 
 
-def build(folder: Path) -> Path:
-    """Build the wheel."""
+def build(source: Path, folder: Path) -> Path:
+    """Build the wheel of a source."""
     # With the tools of this environment, so that nothing is downloaded.
     options = ("--wheel", "--no-isolation", "--outdir", folder)
-    command = (sys.executable, "-m", "build", *options, ROOT)
+    command = (sys.executable, "-m", "build", *options, source)
     run(*command, cwd=folder)
     (wheel,) = folder.glob("*.whl")
     return wheel
@@ -80,7 +79,12 @@ def build(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("dist"))
+    return build(ROOT, tmp_path_factory.mktemp("dist"))
+
+
+@pytest.fixture(scope="module")
+def core_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(ROOT / "core", tmp_path_factory.mktemp("core"))
 
 
 @pytest.fixture(scope="module")
@@ -88,17 +92,17 @@ def package_wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Build the wheels of all packages of the tree, by the name of their distribution."""
     folder = tmp_path_factory.mktemp("packages")
     tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    # The core of the small wheel maps the same without optimization, and compiles in half the time.
-    quick = "-DCMAKE_CXX_FLAGS_RELEASE=-O0"
     command = (ROOT / ".ci" / "packages", folder, "--no-isolation")
-    run(*command, cwd=folder, PATH=tools, CMAKE_ARGS=quick)
+    run(*command, cwd=folder, PATH=tools)
     return {wheel.name.split("-")[0]: wheel for wheel in folder.glob("*.whl")}
 
 
 @pytest.fixture(scope="module")
-def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Create an environment with the wheel and the third-party packages of this environment."""
-    return environment_with([wheel], tmp_path_factory.mktemp("environment"))
+def environment(
+    core_wheel: Path, wheel: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Create an environment with both wheels and the third-party packages of this environment."""
+    return environment_with([core_wheel, wheel], tmp_path_factory.mktemp("environment"))
 
 
 def environment_with(wheels: list[Path], folder: Path) -> Path:
@@ -139,11 +143,9 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
     # Programs that run peers, so that they can be compared with where there is no checkout.
     peers = files_under(ROOT / "benchmarks" / "peers")
     expected |= {f"handmap_qp/outside/peers/{name}" for name in peers}
-    found = {name for name in names if ".dist-info/" not in name}
-    assert found - expected == {
-        name for name in names if name.startswith("handmap_qp/_core.")
-    }
-    assert expected <= found
+    assert {name for name in names if ".dist-info/" not in name} == expected
+    assert wheel.name.endswith("-py3-none-any.whl")
+    assert wheel.stat().st_size < 3e6
 
     # Type checkers read the annotations of a package only where it has this marker.
     assert "handmap_qp/py.typed" in names
@@ -153,24 +155,48 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
             name.startswith(f"handmap_qp/urdf/{hand}/") and name.endswith(".urdf")
             for name in names
         )
-    for licence in ("LICENSE", "handmap_qp/core/LICENSES.txt"):
-        assert any(name.endswith(f".dist-info/licenses/{licence}") for name in names)
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
 
 
-def test_the_wheel_has_the_compiled_core(
-    wheel: Path, environment: Path, elsewhere: Path
+def test_the_wheel_of_the_core_has_the_library_and_its_python(
+    core_wheel: Path, environment: Path, elsewhere: Path
 ) -> None:
-    library, stub = sorted(
-        name
-        for name in zipfile.ZipFile(wheel).namelist()
-        if name.startswith("handmap_qp/_core.")
-    )
+    names = set(zipfile.ZipFile(core_wheel).namelist())
+    files = files_under(ROOT / "core" / "handmap_core")
+    found = {name for name in names if ".dist-info/" not in name}
+    (library,) = found - {f"handmap_core/{name}" for name in files}
+    assert library.startswith("handmap_core/_core.")
     assert library.endswith(".so")
-    assert stub == "handmap_qp/_core.pyi"
-    assert not wheel.name.endswith("none-any.whl")
-    assert wheel.stat().st_size < 3e6
+    assert {"handmap_core/_core.pyi", "handmap_core/py.typed"} <= found
+    for licence in ("LICENSE", "LICENSES.txt"):
+        assert any(name.endswith(f".dist-info/licenses/{licence}") for name in names)
+    assert not core_wheel.name.endswith("none-any.whl")
+    assert core_wheel.stat().st_size < 3e6
     said = run(environment / "bin" / "handmap", "doctor", "--json", cwd=elsewhere)
     assert json.loads(said)["versions"]["core"] == "compiled core"
+
+
+@pytest.mark.parametrize(
+    ("source", "core"), [(ROOT / "core", ""), (ROOT, "core/")], ids=["core", "library"]
+)
+def test_wheels_are_built_of_sdists_that_have_the_core(
+    source: Path, core: str, tmp_path: Path
+) -> None:
+    # The wheel is made of what the sdist has: without optimization, which takes most of the time.
+    options = ("--no-isolation", "--outdir", tmp_path)
+    quick = {"SKBUILD_CMAKE_BUILD_TYPE": "None"}
+    run(sys.executable, "-m", "build", *options, source, cwd=tmp_path, **quick)
+    assert len([*tmp_path.glob("*.whl")]) == 1
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        kinds = {
+            each.name.partition("/")[2]: each.isfile() for each in archive.getmembers()
+        }
+    expected = {name for name in files_under(ROOT / "core") if name[:6] != "build/"}
+    assert expected
+    # A licence that is a link would lead nowhere.
+    assert all(kinds.get(f"{core}{name}") for name in expected)
+    assert not any(name.endswith(".so") for name in kinds)
 
 
 def test_package_is_imported_from_the_wheel(environment: Path, elsewhere: Path) -> None:
@@ -219,13 +245,14 @@ def test_each_package_has_a_wheel_with_all_its_files(
 
 
 def test_the_readme_works_where_all_wheels_are_installed(
+    core_wheel: Path,
     wheel: Path,
     package_wheels: dict[str, Path],
     elsewhere: Path,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     folder = tmp_path_factory.mktemp("all")
-    environment_with([wheel, *package_wheels.values()], folder)
+    environment_with([core_wheel, wheel, *package_wheels.values()], folder)
     assert run_steps(elsewhere, environment_of(folder)) == count_steps()
     handmap = folder / "bin" / "handmap"
     for command in ADDED:

@@ -1,6 +1,6 @@
 """Fresh environments for the paths of new users: made, measured and removed.
 
-What a path does is done by the package as a user gets it: by its wheel, in an environment and a
+What a path does is done by the package as a user gets it: by its wheels, in an environment and a
 folder of its own. Nothing of the checkout or of the shell around it is seen there.
 """
 
@@ -24,15 +24,8 @@ ROOT = Path(__file__).parents[2]
 WHEELS = ROOT / "build" / "paths"
 LIMIT = 1800.0
 """Longest time of one command [s]."""
-# All that a wheel is made of.
-_SOURCES = (
-    "handmap_qp",
-    "urdf",
-    ".ci/backend.py",
-    ".ci/compile.py",
-    ".ci/metadata.py",
-    "pyproject.toml",
-)
+# All that the wheels are made of.
+_SOURCES = ("core", "handmap_qp", "urdf", ".ci/metadata.py", "pyproject.toml")
 _SIZES = """
 from importlib.metadata import distributions
 sizes = {}
@@ -86,24 +79,36 @@ def find_uv() -> str:
     )
 
 
-def wheel() -> Path:
-    """Return a wheel of this tree for this interpreter, built if there is none of today's files."""
+def wheels() -> tuple[Path, Path]:
+    """Return wheels of the core and the library for this interpreter.
+
+    They are built if there are none of today's files.
+    """
     files = [
         file for name in _SOURCES for file in [ROOT / name, *(ROOT / name).rglob("*")]
     ]
     newest = max(
         file.stat().st_mtime
         for file in files
-        if file.is_file() and not file.name.endswith((".so", ".pyc"))
+        if file.is_file()
+        and not file.is_relative_to(ROOT / "core" / "build")
+        and not file.name.endswith((".so", ".pyc"))
     )
     folder = WHEELS / f"cp{sys.version_info.major}{sys.version_info.minor}"
     built = sorted(folder.glob("*.whl"))
     if not built or built[-1].stat().st_mtime < newest:
         shutil.rmtree(folder, ignore_errors=True)
-        words = [find_uv(), "build", "--wheel", "--quiet", "--python", sys.executable]
-        run([*words, "--out-dir", str(folder), str(ROOT)], cwd=ROOT)
+        for source in (ROOT / "core", ROOT):
+            build(source, folder)
         built = sorted(folder.glob("*.whl"))
-    return built[-1]
+    core, library = built
+    return core, library
+
+
+def build(source: Path, folder: Path, python: str = sys.executable) -> None:
+    """Build the wheel of a package's source for an interpreter, into a folder."""
+    words = [find_uv(), "build", "--wheel", "--quiet", "--python", python]
+    run([*words, "--out-dir", str(folder), str(source)], cwd=ROOT)
 
 
 def run(words: list[str], worst: int = 0, **choices: Any) -> str:
@@ -134,7 +139,7 @@ class Fresh:
         self.extras = extras
 
     def __enter__(self) -> Fresh:
-        """Make the environment and install the package's wheel into it."""
+        """Make the environment and install the package's wheels into it."""
         self._started = time.monotonic()
         print(f"== {self.name}", flush=True)
         self.folder = Path(tempfile.mkdtemp(prefix="handmap-path-"))
@@ -150,15 +155,15 @@ class Fresh:
         self._variables["XDG_CACHE_HOME"] = str(self.folder / "cache")
         self._variables["PATH"] = f"{self._bin}{os.pathsep}{os.environ['PATH']}"
         try:
-            with self.step("build the wheel, or take the one of today's files"):
-                built = wheel()
+            with self.step("build the wheels, or take those of today's files"):
+                core, library = wheels()
             with self.step("make an empty environment"):
                 words = [find_uv(), "venv", "--quiet", "--seed", "--python"]
                 run([*words, sys.executable, str(self._bin.parent)])
             self.show_size()
-            self.install(str(built), title="the wheel alone")
+            self.install(str(core), str(library), title="the wheels alone")
             extras = ",".join(self.extras)
-            self.install(f"{built}[{extras}]", title=f"its extras {extras}")
+            self.install(f"{library}[{extras}]", title=f"its extras {extras}")
         except BaseException:
             self._remove()
             raise

@@ -13,9 +13,10 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from paths.fresh import ROOT, Fresh, find_uv, run, stop
+from paths.fresh import ROOT, Fresh, build, find_uv, run, stop
 from run_cases import ALONE, SOURCES, difference
 
 NUMPY = ("numpy==1.26.4", "numpy")
@@ -48,25 +49,36 @@ import re
 from operator import attrgetter
 from pathlib import Path
 
+import handmap_core
 import handmap_run
 import numpy
 
-for file in Path(handmap_run.__file__).parent.rglob("*.py"):
+folders = [Path(each.__file__).parent for each in (handmap_core, handmap_run)]
+for file in [file for folder in folders for file in folder.rglob("*.py")]:
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):
             if found := re.fullmatch(r"np\\.([\\w.]+)", ast.unparse(node)):
                 attrgetter(found[1])(numpy)
 """
 """Ends with an error at a name that this numpy does not have, in whatever function it is."""
+PARTS = ("handmap_core", "handmap_run", "numpy")
+"""What the environment is measured by."""
 UNNEEDED = ("mink", "yourdfpy", "osqp", "proxsuite", "qpsolvers")
 """What is installed for other formulations, solvers and formats."""
 
 
-def build(python: str, folder: Path) -> Path:
-    """Return the wheel of an interpreter."""
-    words = [find_uv(), "build", "--wheel", "--quiet", "--python", python]
-    run([*words, "--out-dir", str(folder), str(SOURCES)], cwd=ROOT)
-    return next(folder.glob("*.whl"))
+class Wheels(NamedTuple):
+    """What a robot's computer installs."""
+
+    core: Path
+    small: Path
+
+
+def wheels_for(python: str, folder: Path) -> Wheels:
+    """Return the wheels for an interpreter, built into a folder."""
+    for source in (ROOT / "core", SOURCES):
+        build(source, folder, python)
+    return Wheels(*sorted(folder.glob("*.whl")))
 
 
 def find_pythons() -> list[str]:
@@ -108,15 +120,15 @@ def compare(cases: Path) -> tuple[list[float], list[float]]:
     return same, decided
 
 
-def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
+def try_alone(wheels: Wheels, python: str, numpy: str, cases: Path) -> str:
     """Follow all cases in a fresh environment, compare, and return its Python."""
-    environment = wheel.parent / f"with {numpy}"
+    environment = wheels.small.parent / f"with {numpy}"
     run([find_uv(), "venv", "--quiet", "--python", python, str(environment)])
     own = str(environment / "bin" / "python")
     words = [find_uv(), "pip", "install", "--quiet", "--python", own]
-    run([*words, str(wheel), numpy])
+    run([*words, *map(str, wheels), numpy])
     packages = next(environment.glob("lib/python3*/site-packages"))
-    sizes = {name: size_of(packages / name) for name in ("handmap_run", "numpy")}
+    sizes = {name: size_of(packages / name) for name in PARTS}
     sizes["numpy"] += size_of(packages / "numpy.libs")
     # Before its bytecode is written.
     size = size_of(packages)
@@ -129,8 +141,9 @@ def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
     )
     print(
         f"           Python {found['python']}, numpy {found['numpy']}: "
-        f"{size:.1f} MB, of which numpy {sizes['numpy']:.1f}, handmap_run "
-        f"{sizes['handmap_run']:.1f}; wheel {wheel.stat().st_size / 1e6:.2f} MB\n"
+        f"{size:.1f} MB, of which numpy {sizes['numpy']:.1f}, handmap_core "
+        f"{sizes['handmap_core']:.1f}, handmap_run {sizes['handmap_run']:.1f}; wheels "
+        f"{sum(each.stat().st_size for each in wheels) / 1e6:.2f} MB\n"
         f"           import {everything:.0f} ms of CPU (best of 9), of which numpy "
         f"{own_numpy:.0f}"
     )
@@ -181,8 +194,8 @@ def main() -> None:
         cases = folder / "cases"
         cases.mkdir()
         with path.step("build the small wheel"):
-            wheel = build(sys.executable, folder / "wheel")
-        path.install(str(wheel), title="the small wheel beside it")
+            wheels = wheels_for(sys.executable, folder / "wheel")
+        path.install(str(wheels.small), title="the small wheel beside it")
         path.handmap("hands", "save", "three_finger")
         path.handmap("hands", "save", "three_finger", "--check")
         with path.step(
@@ -192,10 +205,10 @@ def main() -> None:
             code = f"import os\nos.environ['HANDMAP_RECORDINGS'] = {shared!r}\n{_CASES}"
             path.python(code, str(cases), str(ROOT / "tests" / "support"))
         for k, python in enumerate(find_pythons()):
-            wheel = build(python, folder / f"{k}")
+            wheels = wheels_for(python, folder / f"{k}")
             for numpy in NUMPY:
                 with path.step(f"follow them with {numpy} by the small wheel alone"):
-                    own = try_alone(wheel, python, numpy, cases)
+                    own = try_alone(wheels, python, numpy, cases)
                 follow_service(path, own)
         # Last: the service needs some of it.
         leave_out(path)

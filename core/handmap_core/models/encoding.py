@@ -3,8 +3,8 @@
 A `Model` has numbers, flags, names, arrays, other models, tuples of models, and None. `encode`
 makes its bytes: MessagePack, a map with the fields in the order of the class, in which an array is
 an extension of three parts, the type of its numbers, its shape, and the numbers row by row. The
-core reads them by `core/model_reader.hpp` into a struct whose fields have the same names and forms;
-`_core.model_fields()` lists those.
+core reads them by `handmap/model_reader.hpp` into a struct whose fields have the same names and
+forms; `_core.model_fields()` lists those.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A hand as the core has it: joints, frames, reference points; see `core/hand_model.hpp`."""
+"""A hand as the core has it: joints, frames, reference points; see `handmap/hand_model.hpp`."""
 
 from __future__ import annotations
 

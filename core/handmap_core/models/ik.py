@@ -1,4 +1,4 @@
-"""Weights and settings of the QP as the core has them; see `core/ik.hpp`."""
+"""Weights and settings of the QP as the core has them; see `handmap/ik.hpp`."""
 
 from __future__ import annotations
 

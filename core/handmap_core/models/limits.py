@@ -1,4 +1,4 @@
-"""Limits of a robot's displacements; `core/limits.hpp` has the formulas."""
+"""Limits of a robot's displacements; `handmap/limits.hpp` has the formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What turns a human sample into targets of a robot; `core/targets.hpp` has the formulas."""
+"""What turns a human sample into targets of a robot; `handmap/targets.hpp` has the formulas."""
 
 from __future__ import annotations
 

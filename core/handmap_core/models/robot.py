@@ -1,4 +1,4 @@
-"""How the hands of a robot are led together; `core/robot.hpp` has the formulas."""
+"""How the hands of a robot are led together; `core/src/robot.hpp` has the formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs of collision shapes that are kept apart; see `core/pair_models.hpp`."""
+"""Pairs of collision shapes that are kept apart; see `handmap/pair_models.hpp`."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ class Serve(Settings):
     """Serve the mapper to trackers and robots over ZeroMQ and WebSocket.
 
     Listens on loopback, prints one JSON line with its ports when it is ready, and logs JSON lines
-    on stderr. `handmap serve --schema` describes the messages. The folder `handmap_qp/client` is a
-    client to copy where you need it.
+    on stderr. `handmap serve --schema` describes the messages. `handmap_core.client` is a client:
+    install `handmap-core[client]`, or copy its folder to where you need it.
 
     Attributes:
         log_level: Lowest level to log.
