@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cpp_programs import compiled, run_counted
+from cpp_programs import CORE, compiled, run_counted
 
-PROGRAM = Path(__file__).with_name("properties.cpp")
+PROGRAM = CORE / "tests" / "properties.cpp"
 
 
 def test_parts_of_the_core_have_their_properties(tmp_path: Path) -> None:

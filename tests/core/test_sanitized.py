@@ -9,11 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from cpp_programs import compiled, run_counted
+from cpp_programs import CORE, compiled, run_counted
 
 pytestmark = pytest.mark.full
 
-PROGRAM = Path(__file__).with_name("sanitized.cpp")
+PROGRAM = CORE / "tests" / "sanitized.cpp"
 CHECKS = "address,undefined,float-cast-overflow"
 
 

@@ -410,6 +410,19 @@ def test_the_other_forms_of_a_pose_are_taken_too(pose: np.ndarray) -> None:
         np.testing.assert_allclose(check_pose(form), pose, rtol=0.0, atol=1e-14)
 
 
+def test_a_pose_of_another_library_is_checked_too() -> None:
+    class Scaled:
+        """Has a matrix as poses of libraries have, but is none."""
+
+        homogeneous = np.diag([2.0, 2.0, 2.0, 1.0])
+
+    with pytest.raises(InvalidInputError, match="a rotation as its 3x3 part"):
+        check_pose(Scaled())
+    for wrong in (None, object(), "pose"):
+        with pytest.raises(InvalidInputError, match=r"^pose: expected "):
+            check_pose(wrong)  # ty: ignore[invalid-argument-type]
+
+
 def test_a_pose_of_integers_becomes_one_of_floats() -> None:
     pose = check_pose([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
     assert pose.dtype == np.float64

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-INCLUDE = Path(__file__).resolve().parents[2] / "core" / "include"
+CORE = Path(__file__).resolve().parents[2] / "core"
+"""Its headers need no Python; `tests` has programs that check them."""
 # Half the time of -O1 to compile; the programs run for seconds.
 _OPTIONS = ["-std=c++17", "-O0", "-g1", "-ffp-contract=off", "-D_GLIBCXX_ASSERTIONS"]
 
@@ -34,7 +35,9 @@ def compiled(source: Path, folder: Path, checks: str = "") -> Path:
         if linked.returncode:
             pytest.skip("needs the sanitizers of g++ (libasan, libubsan)")
     program = folder / source.stem
-    subprocess.run([*command, f"-I{INCLUDE}", source, "-o", program], check=True)
+    subprocess.run(
+        [*command, f"-I{CORE / 'include'}", source, "-o", program], check=True
+    )
     return program
 
 
