@@ -125,7 +125,7 @@ def measure(tree: Path, compiled: Path, *programs: str, count: int = 20) -> list
     """
     environment = {
         **os.environ,
-        "PYTHONPATH": str(tree),
+        "PYTHONPATH": interleaved.search_path(tree),
         "PYTHONPYCACHEPREFIX": str(compiled),
         "PYTHONDONTWRITEBYTECODE": "",
     }

@@ -231,7 +231,7 @@ def workers(
             if folder is not None:
                 environment["HANDMAP_HANDS"] = str(folder)
             if tree is not None:
-                environment["PYTHONPATH"] = str(tree)
+                environment["PYTHONPATH"] = search_path(tree)
             process = subprocess.Popen(
                 command,
                 text=True,
@@ -280,6 +280,11 @@ def largest_difference(one: Worker, other: Worker) -> float:
     """Return the largest difference of joints and wrists in the last round [rad or m]."""
     pairs = ((one.q, other.q), (one.wrist, other.wrist))
     return max(float(np.abs(np.array(a) - np.array(b)).max()) for a, b in pairs)
+
+
+def search_path(tree: Path) -> str:
+    """Return the PYTHONPATH of a checkout; older ones have no core beside the package."""
+    return os.pathsep.join(map(str, (tree, tree / "core")))
 
 
 def check_tree(folder: Path) -> Path:

@@ -184,7 +184,7 @@ def test_the_program_and_the_client_run_alone_on_python_3_10() -> None:
     code = """
 import runpy, sys, typing
 import msgspec, numpy.typing, zmq.asyncio, zmq.auth
-sys.modules["handmap_qp"] = None
+sys.modules["handmap_core"] = sys.modules["handmap_qp"] = None
 for name in ("assert_never", "assert_type", "dataclass_transform", "reveal_type"):
     delattr(typing, name)
 runpy.run_path(sys.argv[1])["_client_module"]()
