@@ -97,6 +97,7 @@ def build_editable(
                 wheel.extract(name, _ROOT)
     settings = (config_settings or {}) | {
         "wheel.cmake": "false",
+        "wheel.py-api": "py3",
         "editable.mode": "inplace",
     }
     return build.build_editable(wheel_directory, settings, metadata_directory)

@@ -279,6 +279,32 @@ def test_a_read_only_source_gives_a_wheel_with_the_core(
     assert sorted(read_only_source.rglob("*")) == before
 
 
+@pytest.mark.slow
+@pytest.mark.full
+def test_an_editable_install_has_the_library_in_the_checkout(tmp_path: Path) -> None:
+    ignore = shutil.ignore_patterns("__pycache__", "_core.*.so", "build")
+    source = shutil.copytree(CORE, tmp_path / "source", ignore=ignore)
+    stale = source / "handmap_core" / "_core.stale.so"
+    stale.touch()
+    backend = BuildBackendHookCaller(
+        str(source),
+        "backend",
+        backend_path=["backend"],
+        python_executable=sys.executable,
+    )
+    # Without optimization, which takes most of the time.
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("SKBUILD_CMAKE_BUILD_TYPE", "None")
+        name = backend.build_editable(str(tmp_path))
+    wheel = zipfile.ZipFile(tmp_path / name)
+    (path,) = (name for name in wheel.namelist() if name.endswith(".pth"))
+    assert str(source) in wheel.read(path).decode().splitlines()
+    assert not any(name.startswith("handmap_core/") for name in wheel.namelist())
+    assert not stale.exists()
+    done = run_in(source / "handmap_core", "-c", "import handmap_core.core")
+    assert done.returncode == 0, done.stderr
+
+
 def told(is_kept: bool, **environment: str) -> str:
     """Return what a build's line puts on a terminal, where pip keeps the output or shows it."""
     script = "import terminal; terminal.tell('compiling')"
