@@ -27,7 +27,6 @@ from scikit_build_core import build
 from scikit_build_core.build import (
     build_sdist,
     get_requires_for_build_sdist,
-    prepare_metadata_for_build_editable,
     prepare_metadata_for_build_wheel,
 )
 from terminal import tell
@@ -48,6 +47,12 @@ Settings: TypeAlias = "dict[str, str | list[str]]"
 _ROOT = Path(__file__).parents[1]
 _PACKAGE = _ROOT / "handmap_core"
 _BUILD = _ROOT / "build"
+# The wheel of an editable install leads to the checkout, and has nothing compiled.
+_EDITABLE: Settings = {
+    "editable.mode": "inplace",
+    "wheel.cmake": "false",
+    "wheel.py-api": "py3",
+}
 
 
 def get_requires_for_build_wheel(config_settings: Settings | None = None) -> list[str]:
@@ -61,6 +66,14 @@ def get_requires_for_build_editable(
 ) -> list[str]:
     """Return the same for an editable install (PEP 660)."""
     return get_requires_for_build_wheel(config_settings)
+
+
+def prepare_metadata_for_build_editable(
+    metadata_directory: str, config_settings: Settings | None = None
+) -> str:
+    """Write the metadata of an editable install; return the folder's name (PEP 660)."""
+    settings = (config_settings or {}) | _EDITABLE
+    return build.prepare_metadata_for_build_editable(metadata_directory, settings)
 
 
 def build_wheel(
@@ -95,11 +108,7 @@ def build_editable(
         for name in wheel.namelist():
             if name.startswith("handmap_core/_core.") and name.endswith(".so"):
                 wheel.extract(name, _ROOT)
-    settings = (config_settings or {}) | {
-        "wheel.cmake": "false",
-        "wheel.py-api": "py3",
-        "editable.mode": "inplace",
-    }
+    settings = (config_settings or {}) | _EDITABLE
     return build.build_editable(wheel_directory, settings, metadata_directory)
 
 

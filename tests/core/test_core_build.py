@@ -295,7 +295,8 @@ def test_an_editable_install_has_the_library_in_the_checkout(tmp_path: Path) -> 
     # Without optimization, which takes most of the time.
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("SKBUILD_CMAKE_BUILD_TYPE", "None")
-        name = backend.build_editable(str(tmp_path))
+        prepared = tmp_path / backend.prepare_metadata_for_build_editable(str(tmp_path))
+        name = backend.build_editable(str(tmp_path), metadata_directory=str(prepared))
     wheel = zipfile.ZipFile(tmp_path / name)
     (path,) = (name for name in wheel.namelist() if name.endswith(".pth"))
     assert str(source) in wheel.read(path).decode().splitlines()
