@@ -22,10 +22,11 @@ from service_tools import (
     skip,
 )
 
+from handmap_core.client import messages
 from handmap_qp import client as present
 from handmap_qp.apps.service.keys import make_keys
 from handmap_qp.apps.service.sessions import LEASE
-from handmap_qp.client import ServiceError, messages
+from handmap_qp.client import ServiceError
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "clients"
 
