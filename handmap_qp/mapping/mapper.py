@@ -78,7 +78,7 @@ _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
 class Asked(NamedTuple):
-    """What one hand of a person asks of the robot. The core has it, too, as `Ask`.
+    """What one hand of a person asks of the robot. The core has it, too, as `HandRequest`.
 
     Attributes:
         pose: The person's hand.
@@ -238,7 +238,7 @@ class HandMapper(Mover):
         dt: Time between samples [s].
         joint_tolerance: As given [rad].
         tasks: Further terms of the QP's cost; `configure` changes them.
-        core: The compiled core's `SampleMapper` from the present reference on; None where Python
+        core: The compiled core's `HandMapper` from the present reference on; None where Python
             has to look at the next sample.
 
     Raises:
@@ -521,7 +521,7 @@ class HandMapper(Mover):
     def _new_core(self, target_map: CoreMap) -> core.SampleReader[Any]:
         """Return the core's mapper by a map."""
         views = self._views_by(target_map)
-        return core.SampleMapper(self.point_ik.core, target_map.make_core(), views)
+        return core.HandMapper(self.point_ik.core, target_map.make_core(), views)
 
     def _views_by(self, target_map: CoreMap) -> core.StepViews:
         links = self.point_ik.gate.links

@@ -140,9 +140,9 @@ class Leader(HandMapper):
         own = None if dt is None else own_time(dt)
         return super().map(sample, own, speed=speed)
 
-    def _new_core(self, target_map: CoreMap) -> core.Asker:
+    def _new_core(self, target_map: CoreMap) -> core.TargetSource:
         views = self._views_by(target_map)
-        return core.Asker(self.point_ik.core, target_map.make_core(), views, target_map)
+        return core.TargetSource(self.point_ik.core, target_map.make_core(), views, target_map)
 
     def _moved(
         self,
@@ -195,12 +195,12 @@ def _joint_reader(leader: Leader) -> JointReader:
     return leader._joints
 
 
-def _reduced_ask(ask: core.Ask) -> tuple[Any, ...]:
+def _reduced_ask(ask: core.HandRequest) -> tuple[Any, ...]:
     """Make a copy of what a hand asks in the core one of Python, by copy or pickle."""
     return Asked, (ask.pose, ask.targets, ask.rest, ask.dt, ask.speed, ask.map)
 
 
-copyreg.pickle(core.Ask, _reduced_ask)
+copyreg.pickle(core.HandRequest, _reduced_ask)
 
 
 def _plain_targets(parts: list[Array], is_clamped: bool) -> Targets:
@@ -288,7 +288,7 @@ class RobotMapper(Mover):
         leaders: The mapping of each hand. Its reference and clutch are its own.
         point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
             mapper.
-        core: The compiled core's `RobotMover`; None where Python has to look at the next samples.
+        core: The compiled core's `RobotMapper`; None where Python has to look at the next samples.
 
     Raises:
         InvalidOptionsError: As of `HandMapper`.
@@ -447,7 +447,7 @@ class RobotMapper(Mover):
         asking = []
         for side, leader in self.leaders.items():
             # A hand that has stayed asks in Python first.
-            if leader.core is None or not isinstance(leader.asked, core.Ask):
+            if leader.core is None or not isinstance(leader.asked, core.HandRequest):
                 return None
             reader = reader_of(leader).core
             own = leader.waited + granted
@@ -550,7 +550,7 @@ class RobotMapper(Mover):
         asked = [leader.asked for leader in leaders]
         if self.ik.is_compiled and not self._is_released:
             self.core = self.core or self._new_core()
-            if all(isinstance(each, core.Ask) for each in asked):
+            if all(isinstance(each, core.HandRequest) for each in asked):
                 since = [leader.since for leader in leaders]
                 return self.core.move(asked, since, self._worlds(), when)
         to_base = inverse_pose(self._base)
@@ -559,11 +559,11 @@ class RobotMapper(Mover):
         tasks = self._together([each.map for each in asked], targets, persons)
         return self._stages(asked, targets, self._solved(asked, targets, tasks, when))
 
-    def _new_core(self) -> core.RobotMover:
+    def _new_core(self) -> core.RobotMapper:
         """Return what moves the robot in the core for hands that ask there."""
         links = self.point_ik.gate.links
         views = step_views(_plain_targets, self.robot, links)
-        return core.RobotMover(self.point_ik.core, encode(self.model()), views)
+        return core.RobotMapper(self.point_ik.core, encode(self.model()), views)
 
     def model(self) -> RobotModel:
         """Return how the core leads the hands of the robot together."""

@@ -377,24 +377,24 @@ def sample_calls(
     return {
         "HumanPose": (core.HumanPose, (points, wrist)),
         "StepViews": (core.StepViews, (list, list, list, list)),
-        "SampleMapper": (
-            core.SampleMapper,
+        "HandMapper": (
+            core.HandMapper,
             (mapper.point_ik.core, own_map.make_core(), views),
         ),
-        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
-        "Asker": (
-            core.Asker,
+        "HandMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "TargetSource": (
+            core.TargetSource,
             (mapper.point_ik.core, own_map.make_core(), views, own_map),
         ),
-        "SampleMapper.map": (
+        "HandMapper.map": (
             in_core.map,
             (reader, sample.landmarks, None, dt),
         ),
-        "SampleMapper.map_sample": (
+        "HandMapper.map_sample": (
             in_core.map_sample,
             (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
         ),
-        "SampleMapper.run": (
+        "HandMapper.run": (
             in_core.run,
             (
                 guard.core,
@@ -438,8 +438,8 @@ def robot_calls(core: Any, right: np.ndarray) -> dict[str, Call]:
     solver = mapper.point_ik.core
     worlds = np.tile(np.eye(4), (2, 1, 1))
     return {
-        "RobotMover": (core.RobotMover, (solver, encode(mapper.model()), views)),
-        "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
+        "RobotMapper": (core.RobotMapper, (solver, encode(mapper.model()), views)),
+        "RobotMapper.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
     }
 
 
