@@ -162,7 +162,7 @@ class CoreMap:
         """Return the map as the core has it."""
         raise NotImplementedError
 
-    def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
+    def targets_of(self, parts: list[Array], is_clamped: bool) -> Targets:
         """Return the targets whose arrays the core has computed.
 
         Args:
@@ -373,6 +373,14 @@ class Stages(ArrayStruct, frozen=True):
     ik: IkResult
     command: RobotCommand
 
+    @classmethod
+    def of(cls, pose: AnyPose, targets: Targets, result: IkResult) -> Stages:
+        """Return the stages of a step whose robot has moved."""
+        hand = result.hand
+        q = result.q[hand.q_indices]
+        command = RobotCommand(hand.joint_names, q, result.wrist)
+        return cls(pose, targets, result, command)
+
     @property
     def status(self) -> Status:
         """Outcome of the inverse kinematics."""
@@ -423,13 +431,10 @@ def step_views(
     )
 
 
-class MapStep(ArrayStruct, frozen=True):
-    """One step of the mapping, stage by stage.
-
-    Values of T raise InvalidOptionsError if the method has no T.
+class SampleStep(ArrayStruct, frozen=True, kw_only=True):
+    """What is known of a sample that was mapped, whatever it became.
 
     Attributes:
-        stages: The stages, which the properties below name one by one.
         out_of_range: Human joints used though beyond their limits, within the tolerance.
         duration: Wall time of the step [s].
         verdict: What the guard said about the sample; None where no guard saw it.
@@ -437,12 +442,38 @@ class MapStep(ArrayStruct, frozen=True):
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
-    stages: AnyStages
-    out_of_range: Names
-    duration: float
+    out_of_range: Names = ()
+    duration: float = 0.0
     verdict: Verdict | None = None
     confidence: float = 1.0
     is_gliding: bool = False
+
+    @property
+    def pose(self) -> AnyPose:
+        """The human hand that was mapped."""
+        raise NotImplementedError
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the sample was not followed, and the robot held its posture."""
+        return self.verdict is not None and self.verdict.is_held
+
+
+class MapStep(SampleStep, frozen=True):
+    """One step of the mapping, stage by stage.
+
+    Values of T raise InvalidOptionsError if the method has no T.
+
+    Attributes:
+        stages: The stages, which the properties below name one by one.
+    """
+
+    stages: AnyStages
+
+    @property
+    def pose(self) -> AnyPose:
+        """The human hand that was mapped."""
+        return self.stages.pose
 
     @property
     def command(self) -> RobotCommand:
@@ -473,11 +504,6 @@ class MapStep(ArrayStruct, frozen=True):
     def held_by(self) -> Names:
         """Both links of the pair that keeps the hand from its targets; empty if none does."""
         return self.ik.held_by
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the sample was not followed, and the robot held its posture."""
-        return self.verdict is not None and self.verdict.is_held
 
     @property
     def rule(self) -> Rule:

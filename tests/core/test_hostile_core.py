@@ -371,7 +371,7 @@ def sample_calls(
     judged = sample.time, sample.landmarks, None, True, 1.0
     samples = core.Samples(columns.time, columns.landmarks, columns.valid)
     table = StepTable(mapper.robot, len(columns.time))
-    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    views = step_views(own_map.targets_of, mapper.robot, mapper.point_ik.gate.links)
     palm = encode(teleoperation.palm_model())
     joints = load_hand("human")
     return {
@@ -434,12 +434,17 @@ def robot_calls(core: Any, right: np.ndarray) -> dict[str, Call]:
     views = core.StepViews(list, list, list, list)
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
-    asks = [leader.asked for leader in mapper.leaders.values()]
+    requests = [hand.request for hand in mapper.hands.values()]
     solver = mapper.point_ik.core
+    in_core = mapper.core
+    assert in_core is not None
     worlds = np.tile(np.eye(4), (2, 1, 1))
     return {
         "RobotMapper": (core.RobotMapper, (solver, encode(mapper.model()), views)),
-        "RobotMapper.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
+        "RobotMapper.move": (
+            in_core.move,
+            (requests, [0.1, 0.1], worlds, 1.0 / 60.0),
+        ),
     }
 
 

@@ -102,8 +102,8 @@ class RobotRun:
         elif kind > 94:
             mapper.clutch()
         elif kind == 1:
-            for leader in mapper.leaders.values():
-                leader.clutch()
+            for hand in mapper.hands.values():
+                hand.clutch()
         elif kind == 3:
             limit = hostile.LIMITS[self._rng.integers(len(hostile.LIMITS))]
             ik = get_preset("teleoperation").ik.replaced(max_acceleration=limit)

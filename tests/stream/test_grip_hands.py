@@ -96,7 +96,7 @@ def test_each_hand_of_a_robot_grips_for_itself() -> None:
     q = np.array([step.command.q for step in steps])
     most = robot.velocity_limits + 1e-9
     assert (np.abs(np.diff(q, axis=0)) * 60.0 <= most).all()
-    assert all(leader.tasks == () for leader in grip.follower.mapper.leaders.values())
+    assert all(not source.tasks for source in grip.follower.mapper.sources.values())
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.follower import Rejoin
+from handmap_qp.stream.rejoin import Rejoin
 from handmap_qp.stream.step_table import StepTable
 
 HUMAN = load_hand(

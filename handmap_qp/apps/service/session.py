@@ -41,7 +41,7 @@ from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
-from handmap_qp.mapping import MapStep, check_joints
+from handmap_qp.mapping import MapStep, Placement, check_joints
 from handmap_qp.se3 import Array
 from handmap_qp.stream import FollowingCheck, ObjectFollower
 from handmap_qp.trackers import LAYOUTS
@@ -761,7 +761,8 @@ class Session:
             return
         # It may have braked meanwhile, or a sample was refused half-way.
         motion = self._commanded.motion
-        if not all(map(np.array_equal, motion, mapper.motion)):
+        is_known = mapper.placement is Placement.KNOWN
+        if not (is_known and all(map(np.array_equal, motion, mapper.motion))):
             mapper.motion = motion
 
     def _accept(self, now: float) -> list[str]:
