@@ -82,9 +82,6 @@ class HandMapper(Mapper[core.HandMapper]):
     `MapperBusyError`, and nothing changes.
     """
 
-    # What a follower makes of the stages that the core returns.
-    step_type = MapStep
-
     def __init__(
         self,
         human: Hand,

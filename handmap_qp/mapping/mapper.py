@@ -42,7 +42,7 @@ class Mapper(Generic[Core]):
     @property
     def ik(self) -> IkOptions:
         """Weights and settings of the QP."""
-        return self.moving_robot.options
+        return self.moving_robot.point_ik.options
 
     @property
     def placement(self) -> Placement:

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
-from handmap_qp.ik import IkOptions, IkResult, Motion, PointIk, When
+from handmap_qp.ik import IkResult, Motion, PointIk, When
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import Array
 from .command_time import CallerClock, check_dt, check_when
@@ -47,11 +47,6 @@ class MovingRobot:
         self._clock = CallerClock()
 
     @property
-    def options(self) -> IkOptions:
-        """Weights and settings of the QP."""
-        return self.point_ik.options
-
-    @property
     def motion(self) -> Motion:
         """How the robot moves."""
         return self.point_ik.gate.motion
@@ -69,8 +64,8 @@ class MovingRobot:
     @property
     def moves_in_core(self) -> bool:
         """Whether the core can move the robot by itself from samples on."""
-        options = self.options
-        return self.point_ik.is_compiled and not (options.tasks or self.is_released)
+        solver = self.point_ik
+        return solver.is_compiled and not (solver.options.tasks or self.is_released)
 
     # -- when a command is
 

@@ -78,9 +78,6 @@ class RobotHand:
         base: Where the robot's base was at the reference, shape (4, 4).
     """
 
-    # What a follower makes of the requests that the core returns.
-    step_type = RequestStep
-
     def __init__(
         self, source: TargetSource, robot: MovingRobot, work: WorkLock
     ) -> None:

@@ -52,7 +52,7 @@ class Follower(HandFollower[MapStep]):
         rejoin: RejoinKind = "glide",
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
-        super().__init__(mapper, rejoin=rejoin, smoothing=smoothing)
+        super().__init__(mapper, MapStep, rejoin=rejoin, smoothing=smoothing)
         self.mapper = mapper
 
     @exclusively

@@ -51,10 +51,6 @@ class SampleMapper(Protocol[Step_co]):
     work: WorkLock
 
     @property
-    def step_type(self) -> Callable[..., Step_co]:
-        """Makes a step of what the core made of a sample, and of fields of `SampleStep`."""
-
-    @property
     def core(self) -> CoreReader | None:
         """What maps the next sample in the core; None where Python has to look at it."""
 
@@ -74,8 +70,14 @@ class SampleMapper(Protocol[Step_co]):
 class HandFollower(Generic[Step]):
     """Lets one hand follow the samples of a tracker.
 
-    Arguments and errors are those of `Follower`, which follows with a `HandMapper`. Each hand of a
-    `RobotMapper` has one, too, whose steps are requests.
+    A `Follower` is one with a `HandMapper`. Each hand of a `RobotMapper` has one, too, whose steps
+    are requests.
+
+    Args:
+        mapper: Maps the samples; its human hand must be scaled to the person.
+        step_type: Makes a step of what the core made of a sample, and of fields of `SampleStep`.
+        rejoin: As of `Follower`.
+        smoothing: Likewise.
 
     Attributes:
         rejoin: As given.
@@ -85,11 +87,13 @@ class HandFollower(Generic[Step]):
     def __init__(
         self,
         mapper: SampleMapper[Step],
+        step_type: Callable[..., Step],
         *,
         rejoin: RejoinKind = "glide",
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
         self._mapper = mapper
+        self._step_type = step_type
         self._source = mapper.source
         # To work on the follower is to work on what it leads.
         self.work = mapper.work
@@ -175,7 +179,7 @@ class HandFollower(Generic[Step]):
         if dt is not None:
             self._origin = None
         self._return = structs.replace(self._return, seen=made.pose)
-        return self._mapper.step_type(
+        return self._step_type(
             made, duration=duration, verdict=verdict, confidence=sample.confidence
         )
 

@@ -141,7 +141,7 @@ class RobotFollower:
         self.mapper = mapper
         self.work = mapper.work
         self.hands = {
-            side: HandFollower(hand, rejoin=rejoin, smoothing=smoothing)
+            side: HandFollower(hand, RequestStep, rejoin=rejoin, smoothing=smoothing)
             for side, hand in mapper.hands.items()
         }
         # Instants of the robot's commands that had a sample of each hand.

@@ -774,9 +774,9 @@ class Session:
 
     def _follow(self, step: MapStep) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
-        mapper = self._hands.mapper
-        if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow_command(mapper.point_ik.gate, step.command)
+        solver = self._hands.mapper.point_ik
+        if solver.options.has_velocity_limits and not self._is_slewing:
+            self._commanded.follow_command(solver.gate, step.command)
             return []
         target = step.command
         is_there = self._commanded.move_to(target.q, target.wrist, self._when)
