@@ -20,7 +20,8 @@ from handmap_qp.human.findings import FindingNumbers
 from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik.motion import When
 from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.mapping.method import CoreMap, RobotCommand, StepSummary, Targets
+from handmap_qp.mapping.method import CoreMap, Targets
+from handmap_qp.mapping.step import RobotCommand, StepSummary
 from handmap_qp.se3 import Array
 
 _Made_co = TypeVar("_Made_co", covariant=True)

@@ -31,9 +31,10 @@ models/__init__ models/encoding models/hand models/ik models/limits models/metho
 models/person models/robot models/shapes
 ik/core ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/command_time mapping/decomposition mapping/estimation
-mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/mapper mapping/method
-mapping/moving_robot mapping/named_method mapping/palm mapping/readers mapping/reference
-mapping/robot_hand mapping/robot_mapper mapping/target_source mapping/two_palms
+mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/hands_as_one mapping/mapper
+mapping/method mapping/moving_robot mapping/named_method mapping/palm mapping/readers
+mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step mapping/step
+mapping/target_source mapping/two_palms
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/closing_pads stream/follower stream/following stream/grip
 stream/guard stream/hand_follower stream/hand_grip stream/object_place stream/rejoin

@@ -85,7 +85,7 @@ inline void check_robot(const TargetMap& map, const Ik& ik) {
 
 // -- steps
 
-// What makes the objects of Python of a step, when they are asked for; see method.Stages.
+// What makes the objects of Python of a step, when they are asked for; see step.Stages.
 struct StepViews {
   nb::callable targets;  // of the arrays of a map, and whether a stretch is clamped
   nb::callable ik;       // of the step

@@ -31,15 +31,10 @@ from .method import (
     AnyPose,
     CoreMap,
     HumanPose,
-    MapStep,
     Method,
     Preset,
-    RobotCommand,
     RobotPosture,
-    SampleStep,
-    Stages,
     Targets,
-    arm_held_by,
     core_pose,
     default_preset,
     get_preset,
@@ -73,7 +68,9 @@ from .presets import (
 from .readers import JointReader, LandmarkReader, check_joints
 from .reference import Placement, Reference
 from .robot_hand import RequestStep, RobotHand
-from .robot_mapper import RobotMapper, RobotStep
+from .robot_mapper import RobotMapper
+from .robot_step import RobotStep
+from .step import MapStep, RobotCommand, SampleStep, Stages, arm_held_by
 from .target_source import TargetSource
 
 __all__ = [

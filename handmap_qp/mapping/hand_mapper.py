@@ -26,12 +26,9 @@ from .exclusive import WorkLock, exclusively
 from .mapper import Mapper
 from .method import (
     AnyPose,
-    AnyStages,
     BoundMethod,
     HumanPose,
-    MapStep,
     Method,
-    Stages,
     TargetMap,
     Targets,
     core_pose,
@@ -39,6 +36,7 @@ from .method import (
 from .moving_robot import MovingRobot
 from .readers import JointReader, LandmarkReader, check_joints
 from .reference import Placement, Reference
+from .step import AnyStages, MapStep, Stages
 from .target_source import TargetSource
 
 
@@ -283,12 +281,13 @@ class HandMapper(Mapper[core.HandMapper]):
         reference = source.prepare(sample, robot)
         in_core = self._core_at(sample, reference)
         if in_core is not None:
-            self._begin(reference)
+            robot.put_on_palm(reference.q)
             stages: AnyStages = in_core.follow(core_pose(sample), when, speed)
         else:
             request = source.request(sample, reference, own_time(when), speed)
-            self._begin(reference)
+            robot.put_on_palm(reference.q)
             stages = robot.move(request, when)
+        source.take(reference)
         source.renew(sample, robot)
         # The core has the map of one reference.
         self.core = in_core if source.counted_from is reference else None
@@ -334,12 +333,6 @@ class HandMapper(Mapper[core.HandMapper]):
             return self.core
         views = robot.views(target_map.targets_of, self.robot)
         return core.HandMapper(robot.point_ik.core, target_map.make_core(), views)
-
-    def _begin(self, reference: Reference) -> None:
-        """Count from a reference, and put the robot on its palm unless it has a place."""
-        if reference is not self.source.counted_from:
-            self.moving_robot.put_on_palm(reference.q)
-            self.source.take(reference)
 
     @exclusively
     def hold(self, dt: When, seen: AnyPose | None = None) -> MapStep:

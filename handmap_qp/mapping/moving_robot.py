@@ -17,8 +17,9 @@ from handmap_qp.ik.core import core
 from handmap_qp.se3 import Array
 from .command_time import CallerClock, check_dt, check_when
 from .hand_request import HandRequest
-from .method import Stages, Targets, step_views
+from .method import Targets
 from .reference import Placement
+from .step import Stages, step_views
 
 
 class MovingRobot:

@@ -20,10 +20,11 @@ from handmap_qp.se3 import Array, PoseLike, frozen
 from .command_time import check_dt, own_time
 from .exclusive import WorkLock, exclusively
 from .hand_request import AnyRequest, HandRequest
-from .method import AnyPose, HumanPose, SampleStep, Targets, core_pose
+from .method import AnyPose, HumanPose, Targets, core_pose
 from .moving_robot import MovingRobot
 from .readers import JointReader, LandmarkReader
 from .reference import Reference, posture_of
+from .step import SampleStep
 from .target_source import TargetSource
 
 HOME = frozen(np.eye(4))

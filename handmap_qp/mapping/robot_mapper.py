@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from operator import attrgetter
 from time import perf_counter
 from typing import Any
 
@@ -31,7 +30,7 @@ from handmap_qp.hands import (
     load_hand,
 )
 from handmap_qp.human import Verdict, human_name
-from handmap_qp.ik import IkOptions, IkResult, Motion, PointIk, When
+from handmap_qp.ik import IkOptions, Motion, PointIk, When
 from handmap_qp.ik.core import core
 from handmap_qp.models import RobotHandModel, RobotModel, encode
 from handmap_qp.se3 import (
@@ -44,19 +43,14 @@ from handmap_qp.se3 import (
 )
 from .command_time import check_when
 from .exclusive import WorkLock, exclusively
+from .hands_as_one import rest_as_one, stages_as_one, targets_as_one
 from .mapper import Mapper
-from .method import (
-    AnyStages,
-    BoundMethod,
-    HumanPose,
-    MapStep,
-    Method,
-    Stages,
-    Targets,
-)
+from .method import BoundMethod, Method, Targets
 from .moving_robot import MovingRobot
 from .readers import JointReader, LandmarkReader, check_joints
 from .robot_hand import HOME, RequestStep, RobotHand
+from .robot_step import RobotStep, part_step, whole_step
+from .step import AnyStages, MapStep
 from .target_source import TargetSource
 from .two_palms import NEAR, TOGETHER, TOGETHER_SHARE, aimed, brought_together
 
@@ -77,25 +71,6 @@ def _robot_targets(parts: list[Array], is_clamped: bool) -> Targets:
     flags = ("stretch_clamped",) if is_clamped else ()
     points, wrist = parts
     return Targets(points, wrist, flags=flags)
-
-
-class RobotStep(MapStep, frozen=True, kw_only=True):
-    """One step of a robot: that of one hand with the points of all, one after the other.
-
-    `wrist` and its error are those of the first hand. It is held if all hands are, and has the rule
-    of any that breaks one.
-
-    Attributes:
-        hands: The step of each hand by side, with its own points and wrist.
-    """
-
-    hands: dict[Side, MapStep]
-
-    @property
-    def arm_held_by(self) -> str:
-        """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
-        causes = (step.arm_held_by for step in self.hands.values())
-        return next(filter(None, causes), "")
 
 
 class RobotMapper(Mapper[core.RobotMapper]):
@@ -375,10 +350,10 @@ class RobotMapper(Mapper[core.RobotMapper]):
                 hand.base = self._base
         duration = perf_counter() - started
         steps = {
-            side: _part_step(hand.step, part, duration)
+            side: part_step(hand.step, part, duration)
             for (side, hand), part in zip(self.hands.items(), parts, strict=True)
         }
-        return _whole_step(steps, stages, duration)
+        return whole_step(steps, stages, duration)
 
     def _moved(self, when: When) -> tuple[AnyStages, Sequence[AnyStages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
@@ -386,14 +361,14 @@ class RobotMapper(Mapper[core.RobotMapper]):
         robot = self.moving_robot
         if robot.point_ik.is_compiled and not robot.is_released:
             self.core = self.core or self._new_core()
-            requests = [
+            of_core = [
                 hand.request
                 for hand in hands
                 if isinstance(hand.request, core.HandRequest)
             ]
-            if len(requests) == len(hands):
+            if len(of_core) == len(hands):
                 since = [hand.since for hand in hands]
-                return self.core.move(requests, since, self._worlds(), when)
+                return self.core.move(of_core, since, self._worlds(), when)
         to_base = inverse_pose(self._base)
         apart = [
             aimed(
@@ -406,11 +381,27 @@ class RobotMapper(Mapper[core.RobotMapper]):
         weight = self.ik.wrist_position_weight
         together, tasks = brought_together(apart, self.robot, weight)
         targets = [hand.targets for hand in together]
-        whole = self._whole_targets(targets)
-        whole = structs.replace(whole, tasks=(*tasks, *whole.tasks))
-        speed = min(hand.request.speed for hand in hands)
-        result = robot.follow(whole, self._rest(), when, speed)
-        return self._stages(targets, result)
+        requests = [hand.request for hand in hands]
+        whole = structs.replace(
+            targets_as_one(targets, self.robot),
+            tasks=(*tasks, *(task for hand in targets for task in hand.tasks)),
+            margins=self._margins(targets),
+        )
+        rest = rest_as_one(requests, self.robot)
+        speed = min(request.speed for request in requests)
+        result = robot.follow(whole, rest, when, speed)
+        rows = self.point_ik.configuration.parts
+        return stages_as_one(requests, targets, result, rows)
+
+    def _margins(self, targets: Sequence[Targets]) -> Array | None:
+        """Return the margin of each pair: that of the hand whose thumb and finger it is."""
+        if not self.pinching:
+            return None
+        margins = np.full(len(self.point_ik.gate.links) - 1, LINK_MARGIN)
+        for hand, (rows, among_its) in zip(targets, self.pinching, strict=True):
+            if hand.margins is not None:
+                margins[rows] = hand.margins[among_its]
+        return margins
 
     def _new_core(self) -> core.RobotMapper:
         """Return what moves the robot in the core for requests of the core."""
@@ -449,60 +440,6 @@ class RobotMapper(Mapper[core.RobotMapper]):
             return None
         to_base = inverse_pose(self._base)
         return np.array([to_base @ hand.base for hand in self.hands.values()])
-
-    def _rest(self) -> Array:
-        """Return the posture that the QP's rest term pulls to [rad or m], shape (n,)."""
-        rest = self.robot.rest.copy()
-        for fingers, hand in zip(
-            self.robot.finger_joints, self.hands.values(), strict=True
-        ):
-            rest[fingers] = hand.request.rest[fingers]
-        return rest
-
-    def _whole_targets(self, targets: Sequence[Targets]) -> Targets:
-        """Return the targets of all hands as one; its wrists have the shape (h, 4, 4)."""
-        regularisation = np.ones(len(self.robot.rest))
-        for fingers, hand in zip(self.robot.finger_joints, targets, strict=True):
-            if hand.regularisation is not None:
-                regularisation[fingers] = hand.regularisation[fingers]
-        return Targets(
-            np.concatenate([hand.points for hand in targets]),
-            np.array([hand.wrist for hand in targets]),
-            tasks=tuple(task for hand in targets for task in hand.tasks),
-            margins=self._margins(targets),
-            regularisation=regularisation,
-        )
-
-    def _margins(self, targets: Sequence[Targets]) -> Array | None:
-        """Return the margin of each pair: that of the hand whose thumb and finger it is."""
-        if not self.pinching:
-            return None
-        margins = np.full(len(self.point_ik.gate.links) - 1, LINK_MARGIN)
-        for hand, (rows, among_its) in zip(targets, self.pinching, strict=True):
-            if hand.margins is not None:
-                margins[rows] = hand.margins[among_its]
-        return margins
-
-    def _stages(
-        self, targets: Sequence[Targets], result: IkResult
-    ) -> tuple[AnyStages, Sequence[AnyStages]]:
-        """Return the stages of the robot, and those of each hand."""
-        poses = [hand.request.pose for hand in self.hands.values()]
-        parts = []
-        for k, rows in enumerate(self.point_ik.configuration.parts):
-            part = structs.replace(
-                result,
-                points=result.points[rows],
-                targets=result.targets[rows],
-                wrists=result.wrists[k : k + 1],
-                hand=self.robot.hands[k],
-            )
-            moved = structs.replace(targets[k], points=part.targets)
-            parts.append(Stages.of(poses[k], moved, part))
-        points = np.concatenate([pose.points for pose in poses])
-        flags = dict.fromkeys(flag for hand in targets for flag in hand.flags)
-        whole = Targets(result.targets, targets[0].wrist, flags=tuple(flags))
-        return Stages.of(HumanPose(points, poses[0].wrist), whole, result), parts
 
     # -- between samples
 
@@ -591,38 +528,6 @@ class RobotMapper(Mapper[core.RobotMapper]):
         if side not in self.hands:
             _expect_sides([side], self.hands, "side")
         return self.hands[side]
-
-
-def _part_step(step: RequestStep, stages: AnyStages, duration: float) -> MapStep:
-    """Return the step of a hand whose request the robot was moved for."""
-    return MapStep(
-        stages,
-        out_of_range=step.out_of_range,
-        duration=duration,
-        verdict=step.verdict,
-        confidence=step.confidence,
-        is_gliding=step.is_gliding,
-    )
-
-
-def _whole_step(
-    hands: dict[Side, MapStep], stages: AnyStages, duration: float
-) -> RobotStep:
-    """Return the step of all hands."""
-    steps = hands.values()
-    verdicts = [step.verdict for step in steps if step.verdict]
-    # That of a hand with a rule comes first.
-    first = max(verdicts, key=attrgetter("rule"), default=None)
-    is_held = all(step.is_held for step in steps)
-    return RobotStep(
-        stages,
-        out_of_range=tuple(name for step in steps for name in step.out_of_range),
-        duration=duration,
-        verdict=first and structs.replace(first, is_held=is_held),
-        confidence=min(step.confidence for step in steps),
-        is_gliding=any(step.is_gliding for step in steps),
-        hands=hands,
-    )
 
 
 def _solver_of(

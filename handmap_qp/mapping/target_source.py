@@ -1,7 +1,7 @@
 """`TargetSource`: the human's side of one hand, from samples to targets of the robot's hand.
 
 It has the readers, the method that is bound to two hands, and the reference. It does not move a
-robot: `MovingRobot` does, and a mapper has one of both.
+robot: `MovingRobot` does, and a mapper has one of each.
 """
 
 from __future__ import annotations

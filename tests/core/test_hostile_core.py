@@ -358,7 +358,7 @@ def sample_calls(
     """Return calls of what maps samples: a follower of one map, and another map."""
     from handmap_qp import load_hand
     from handmap_qp.ik import core_tree
-    from handmap_qp.mapping.method import step_views
+    from handmap_qp.mapping.step import step_views
     from handmap_qp.stream.step_table import StepTable
 
     mapper = follower.mapper

@@ -23,7 +23,8 @@ from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.robot_follower import RobotFollower
 from handmap_qp.stream.smoothing import SMOOTH_IK
 

@@ -9,8 +9,10 @@ import pytest
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.ik.motion import Motion
+from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.reference import Placement
 from handmap_qp.mapping.robot_hand import HandState, RequestStep
@@ -121,6 +123,25 @@ def test_a_place_that_is_given_is_known() -> None:
     mapper.reset()
     assert mapper.placement is Placement.UNKNOWN
     assert HandMapper(HUMAN, load_hand("ur5_allegro")).placement is Placement.KNOWN
+
+
+class Failing:
+    """A task that cannot be linearised."""
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        raise ZeroDivisionError(hand)
+
+
+def test_a_sample_that_moves_nothing_is_no_reference() -> None:
+    mapper = HandMapper(HUMAN, load_hand("ur5_allegro"), tasks=[Failing()])
+    stamp = mapper.point_ik.gate.stamp
+    with pytest.raises(ZeroDivisionError):
+        mapper.map(POSE)
+    assert mapper.reference is None
+    assert mapper.point_ik.gate.stamp == stamp
+    mapper.configure(tasks=())
+    mapper.map(POSE)
+    assert mapper.reference is not None
 
 
 # -- two sources and one robot

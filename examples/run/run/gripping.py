@@ -12,7 +12,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.motion import When
 from handmap_qp.mapping.hand_mapper import HandMapper
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import GripOptions, can_grip
