@@ -169,16 +169,6 @@ def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> Array
     return affine(rotation, shift[..., 0, :])
 
 
-def rotation_by(vector: Array) -> Array:
-    """Return the rotation (3, 3) about a vector, by its length [rad], shape (3,)."""
-    return pin.exp3(vector)
-
-
-def rotation_vector(rotation: Array) -> Array:
-    """Return the axis of a rotation (3, 3) times its angle [rad], shape (3,); see `rotation_by`."""
-    return pin.log3(rotation)
-
-
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Compose a rotation (3, 3) from roll, pitch and yaw [rad]: `Rz(yaw) Ry(pitch) Rx(roll)`."""
     return pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float))

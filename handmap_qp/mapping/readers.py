@@ -137,7 +137,9 @@ class JointReader:
         """Build a copy with a workspace of its own."""
         return JointReader, (self.human, self.tolerance, self.quat_order)
 
-    def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
+    def read(
+        self, q: ArrayLike, wrist_pose: PoseLike | None
+    ) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
 
         Args:

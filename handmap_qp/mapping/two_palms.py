@@ -13,13 +13,12 @@ from msgspec import structs
 
 from handmap_qp.hands import Hand
 from handmap_qp.ik import AttachedPoints, PointOffset
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     affine,
     inverse_pose,
     lengths,
-    rotation_by,
-    rotation_vector,
     smoothstep,
     transform_points,
 )
@@ -134,7 +133,7 @@ def turned(
     here = targets.wrist @ inverse_pose(palm.map.robot_palm_to_wrist)
     centre = transform_points(here, palm.map.robot_anchor)
     whole = palm.person[:3, :3] @ here[:3, :3].T
-    turn = rotation_by(share * rotation_vector(whole))
+    turn = core.exp3(share * core.log3(whole))
     return moved_by(affine(turn, centre - turn @ centre + shift), targets)
 
 

@@ -8,14 +8,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from msgspec import structs
 
+from handmap_qp.ik.core import core
 from handmap_qp.mapping import AnyPose, HumanPose
 from handmap_qp.se3 import (
     Array,
     ArrayStruct,
     affine,
     lengths,
-    rotation_by,
-    rotation_vector,
     transform_points,
 )
 
@@ -58,12 +57,12 @@ class _Place(NamedTuple):
 
     def to(self, other: _Place) -> Array:
         """Return the way to another place [m], with the turn in own axes behind it [rad]."""
-        turn = rotation_vector(self.rotation.T @ other.rotation)
+        turn = core.log3(self.rotation.T @ other.rotation)
         return np.vstack([other.points - self.points, turn])
 
     def moved(self, way: Array) -> _Place:
         """Return the place at the end of a way."""
-        rotation = self.rotation @ rotation_by(way[-1])
+        rotation = self.rotation @ core.exp3(way[-1])
         return _Place(self.points + way[:-1], rotation, self.has_wrist)
 
 
