@@ -32,8 +32,8 @@ from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.human.recording import mirrored
 from handmap_qp.mapping.alignment import rotation_of
-from handmap_qp.mapping.method import arm_held_by
 from handmap_qp.mapping.presets import preset_choice
+from handmap_qp.mapping.step import arm_held_by
 from handmap_qp.se3 import affine
 
 BARE = {

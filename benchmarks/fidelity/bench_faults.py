@@ -31,10 +31,11 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import mirrored, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.stream.follower import Follower, RejoinKind
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.stream.rejoin import RejoinKind
 
 FAULTS = (
     "dropout@{}",

@@ -170,7 +170,7 @@ def main(words: Sequence[str] | None = None) -> None:
                         MappingOptions(),
                     )
                     ik = make(mapper.robot, IkOptions())
-                    mapper.point_ik = ik
+                    mapper.moving_robot.replace_solver(ik)
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()
                 results[family].append({"way": way, **measure(trajectories)})

@@ -94,17 +94,17 @@ def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, A
         motion.append(step.command.q)
         wrists.append([each.wrist_error[0] for each in step.hands.values()])
         overlaps.append(meter.depth(mapper.motion.q))
-        asked = [leader.asked for leader in mapper.leaders.values()]
+        requests: list[Any] = [hand.request for hand in mapper.hands.values()]
         ends = [
-            transform_points(each.command.wrist @ leader.robot.wrist_to_palm, own)
-            for each, leader, own in zip(
+            transform_points(each.command.wrist @ hand.robot.wrist_to_palm, anchor)
+            for each, hand, anchor in zip(
                 step.hands.values(),
-                mapper.leaders.values(),
-                [each.map.robot_anchor for each in asked],
+                mapper.hands.values(),
+                [request.map.robot_anchor for request in requests],
                 strict=True,
             )
         ]
-        here, there = (each.map.person_at(each.pose) for each in asked)
+        here, there = (request.map.person_at(request.pose) for request in requests)
         near.append(lengths((there - here)[:3, 3]))
         off.append(lengths(ends[1] - ends[0] - (there - here)[:3, 3]))
     near, off = np.array(near), np.array(off)

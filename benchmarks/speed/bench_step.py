@@ -37,7 +37,7 @@ import shared_hands
 import synthetic
 
 import handmap_qp.ik.qp
-import handmap_qp.mapping.mapper
+import handmap_qp.mapping.readers
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
@@ -134,14 +134,14 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     """Mean CPU time of each part of a step [us], less the measured cost of the wrapper."""
     watches = Stopwatches()
     # The Python path: the core has no parts that could be timed.
-    vars(mapper._joints)["core"] = None
+    vars(mapper.source.joints)["core"] = None
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
-    ik, reference = mapper.point_ik, mapper._reference
+    ik, reference = mapper.point_ik, mapper.source.counted_from
     counted = reference.map if reference else None
     wrapped = [
-        (handmap_qp.mapping.mapper, "check_pose", "checks"),
-        (mapper._joints, "read", "human FK"),
+        (handmap_qp.mapping.readers, "check_pose", "checks"),
+        (mapper.source.joints, "read", "human FK"),
         (getattr(counted, "estimator", None), "estimate", "estimation"),
         (homogeneous, "polar", "decomposition"),
         (counted, "targets", "targets"),

@@ -21,9 +21,10 @@ from handmap_qp.human.findings import FindingNumbers
 from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik.motion import When
 from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.mapping.method import CoreMap, RobotCommand, StepSummary, Targets
+from handmap_qp.mapping.method import CoreMap, Targets
+from handmap_qp.mapping.step import RobotCommand, StepSummary
 
-_Made = TypeVar("_Made")
+_Made_co = TypeVar("_Made_co", covariant=True)
 
 SOURCES: str
 """Fingerprint of the sources that it was compiled from."""
@@ -312,14 +313,14 @@ class Stages(Step):
     @property
     def summary(self) -> StepSummary: ...
 
-class SampleReader(Generic[_Made]):
-    """Reads the samples after a reference; makes `Stages` of each, or an `Ask`."""
+class SampleReader(Generic[_Made_co]):
+    """Reads the samples after a reference; makes `Stages` of each, or a `HandRequest`."""
 
-    def follow(self, pose: HumanPose, when: When, speed: float) -> _Made: ...
+    def follow(self, pose: HumanPose, when: When, speed: float) -> _Made_co: ...
     @overload
     def map(
         self, reader: JointReader | None, q: object, wrist: object, when: object
-    ) -> tuple[_Made, float] | None: ...
+    ) -> tuple[_Made_co, float] | None: ...
     @overload
     def map(
         self,
@@ -327,7 +328,7 @@ class SampleReader(Generic[_Made]):
         landmarks: object,
         wrist: object,
         when: object,
-    ) -> tuple[_Made, float] | None: ...
+    ) -> tuple[_Made_co, float] | None: ...
     def map_sample(
         self,
         guard: StreamGuard,
@@ -341,10 +342,10 @@ class SampleReader(Generic[_Made]):
         when: object,
         arrival: float | None,
         origin: float | None,
-    ) -> tuple[VerdictNumbers, _Made | None, float] | None: ...
+    ) -> tuple[VerdictNumbers, _Made_co | None, float] | None: ...
 
-class SampleMapper(SampleReader[Stages]):
-    """What a `HandMapper` does with the samples after its reference."""
+class HandMapper(SampleReader[Stages]):
+    """Maps the samples after a reference to commands; see `mapping.HandMapper`."""
 
     def __init__(self, ik: Ik, target_map: TargetMap, views: StepViews) -> None: ...
     def run(
@@ -359,8 +360,8 @@ class SampleMapper(SampleReader[Stages]):
         rows: Array,
     ) -> tuple[int, VerdictNumbers | None, HumanPose | None]: ...
 
-class Ask:
-    """What a hand of a person asks of a robot; see `mapping.mapper.Asked`."""
+class HandRequest:
+    """What one hand of a person asks of a robot; see `mapping.HandRequest`."""
 
     @property
     def pose(self) -> HumanPose: ...
@@ -375,20 +376,20 @@ class Ask:
     @property
     def targets(self) -> Targets: ...
 
-class Asker(SampleReader[Ask]):
-    """Lets a hand of a robot ask with each sample after its reference."""
+class TargetSource(SampleReader[HandRequest]):
+    """Makes a request of each sample after a reference; see `mapping.TargetSource`."""
 
     def __init__(
-        self, ik: Ik, target_map: TargetMap, views: StepViews, source: CoreMap
+        self, ik: Ik, target_map: TargetMap, views: StepViews, python_map: CoreMap
     ) -> None: ...
 
-class RobotMover:
-    """Moves a robot for what its hands ask; made of a `RobotModel`."""
+class RobotMapper:
+    """Moves a robot for the requests of its hands; made of a `RobotModel`."""
 
     def __init__(self, ik: Ik, model: bytes, views: StepViews) -> None: ...
     def move(
         self,
-        asks: Sequence[Ask],
+        requests: Sequence[HandRequest],
         since: Sequence[float],
         worlds: Array | None,
         when: When,

@@ -18,26 +18,28 @@ std::vector<Pose> poses_of(const std::optional<Array>& numbers) {
   return poses;
 }
 
-std::pair<nb::object, std::vector<nb::object>> move(RobotMover& mover, const RobotMover::Asks& asks,
+std::pair<nb::object, std::vector<nb::object>> move(RobotMapper& mapper,
+                                                    const RobotMapper::Requests& requests,
                                                     const Vector& since,
                                                     const std::optional<Array>& worlds,
                                                     const nb::object& when) {
-  for (const Ask* ask : asks) expect(ask != nullptr, "a hand that asks nothing");
-  return mover.move(asks, since, poses_of(worlds), when_from(when));
+  for (const HandRequest* request : requests)
+    expect(request != nullptr, "a hand without a request");
+  return mapper.move(requests, since, poses_of(worlds), when_from(when));
 }
 
 }  // namespace
 
 void bind_robot(nb::module_& m) {
-  nb::class_<RobotMover>(m, "RobotMover")
+  nb::class_<RobotMapper>(m, "RobotMapper")
       .def("__init__",
-           [](RobotMover* self, std::shared_ptr<Ik> ik, const nb::bytes& model,
+           [](RobotMapper* self, std::shared_ptr<Ik> ik, const nb::bytes& model,
               StepViews views) {
-             new (self) RobotMover(std::move(ik), model_of<RobotModel>(model), std::move(views));
+             new (self) RobotMapper(std::move(ik), model_of<RobotModel>(model), std::move(views));
            },
            "ik"_a, "model"_a, "views"_a)
-      .def("__reduce__", &without_copy<RobotMover>)
-      .def("move", &move, "asks"_a, "since"_a, "worlds"_a.none(), "when"_a);
+      .def("__reduce__", &without_copy<RobotMapper>)
+      .def("move", &move, "requests"_a, "since"_a, "worlds"_a.none(), "when"_a);
 }
 
 }  // namespace handmap

@@ -55,7 +55,7 @@ void bind_samples(nb::module_& m) {
   nb::class_<Stages, Step>(m, "Stages")
       .def_ro("pose", &Stages::pose)
       .def_prop_ro("summary", &Stages::read_summary)
-      .def_prop_ro("asked", &Stages::read_asked)
+      .def_prop_ro("asked", &Stages::read_targets)
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);
   nb::class_<SampleReader>(m, "SampleReader")
@@ -68,21 +68,21 @@ void bind_samples(nb::module_& m) {
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a, "time"_a,
            "landmarks"_a, "wrist"_a.none(), "valid"_a, "confidence"_a, "when"_a.none(),
            "arrival"_a.none(), "origin"_a.none());
-  nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
+  nb::class_<HandMapper, SampleReader>(m, "HandMapper")
       .def(nb::init<std::shared_ptr<Ik>, std::shared_ptr<const TargetMap>, StepViews>(),
            "ik"_a, "target_map"_a, "views"_a)
-      .def("run", &SampleMapper::run, "guard"_a, "smoother"_a, "reader"_a, "origin"_a, "samples"_a,
+      .def("run", &HandMapper::run, "guard"_a, "smoother"_a, "reader"_a, "origin"_a, "samples"_a,
            "first"_a, "last"_a, "rows"_a.noconvert());
-  nb::class_<Asker, SampleReader>(m, "Asker")
+  nb::class_<TargetSource, SampleReader>(m, "TargetSource")
       .def(nb::init<const Ik&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
-           "ik"_a, "target_map"_a, "views"_a, "source"_a);
-  nb::class_<Ask>(m, "Ask")
-      .def_ro("pose", &Ask::pose)
-      .def_ro("map", &Ask::source)
-      .def_ro("dt", &Ask::dt)
-      .def_ro("speed", &Ask::speed)
-      .def_prop_ro("rest", [](const Ask& ask) { return array_of(ask.map().rest); })
-      .def_prop_ro("targets", &Ask::read_targets);
+           "ik"_a, "target_map"_a, "views"_a, "python_map"_a);
+  nb::class_<HandRequest>(m, "HandRequest")
+      .def_ro("pose", &HandRequest::pose)
+      .def_ro("map", &HandRequest::python_map)
+      .def_ro("dt", &HandRequest::dt)
+      .def_ro("speed", &HandRequest::speed)
+      .def_prop_ro("rest", [](const HandRequest& request) { return array_of(request.map().rest); })
+      .def_prop_ro("targets", &HandRequest::read_targets);
 }
 
 }  // namespace handmap

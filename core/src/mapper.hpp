@@ -1,5 +1,5 @@
-// One call a sample, from what Python has to the step that it reads: see mapping/mapper.py, and
-// stream/follower.py for samples that a guard judges and a filter smooths first.
+// One call a sample, from what Python has to the step that it reads: see mapping/hand_mapper.py, and
+// stream/hand_follower.py for samples that a guard judges and a filter smooths first.
 #pragma once
 
 #include <nanobind/stl/pair.h>
@@ -22,7 +22,7 @@ inline When when_from(const nb::object& given) {
   return When::after(nb::cast<double>(given));
 }
 
-// The same, or none for what Python has to look at; see mapper.check_when.
+// The same, or none for what Python has to look at; see command_time.check_when.
 inline std::optional<When> plain_when(const nb::object& given) {
   std::pair<double, double> instant;
   if (nb::isinstance<nb::tuple>(given)) {
@@ -85,7 +85,7 @@ inline void check_robot(const TargetMap& map, const Ik& ik) {
 
 // -- steps
 
-// What makes the objects of Python of a step, when they are asked for; see method.Stages.
+// What makes the objects of Python of a step, when they are asked for; see step.Stages.
 struct StepViews {
   nb::callable targets;  // of the arrays of a map, and whether a stretch is clamped
   nb::callable ik;       // of the step
@@ -104,15 +104,15 @@ struct StepReader {
 struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
-  nb::object asked_, ik_, command_, summary_;
+  nb::object targets_, ik_, command_, summary_;
 
   // What a user should know of the sample, a word each; see method.Targets.
   nb::tuple flags() const {
-    return asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
+    return targets.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
   }
-  nb::object read_asked() {
-    if (!asked_.is_valid()) asked_ = reader->views.targets(arrays(), asked.is_clamped);
-    return asked_;
+  nb::object read_targets() {
+    if (!targets_.is_valid()) targets_ = reader->views.targets(arrays(), targets.is_clamped);
+    return targets_;
   }
   nb::object read_command() {
     if (!command_.is_valid())
@@ -126,10 +126,10 @@ struct Stages : Step {
     for (size_t k = 0; k < result.points.size(); ++k)
       point_error.append(norm(result.targets[k] - result.points[k]));
     for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
-    const Pose &wrist = result.wrists[0], &target = asked.wrist;
+    const Pose &wrist = result.wrists[0], &target = targets.wrist;
     const nb::tuple wrist_error = nb::make_tuple(
         norm(wrist.p - target.p), norm(log3(transposed(target.R) * wrist.R)));
-    const double residual = reader->map ? reader->map->residual(asked) : 0.0;
+    const double residual = reader->map ? reader->map->residual(targets) : 0.0;
     return summary_ = reader->views.summary(point_error, wrist_error, at_bound, residual,
                                             flags());
   }
@@ -138,13 +138,13 @@ struct Stages : Step {
   // Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
   nb::list arrays() const {
     nb::list found;
-    found.append(array_of(asked.points));
-    found.append(array_of(asked.wrist));
-    if (asked.distances)
-      for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
+    found.append(array_of(targets.points));
+    found.append(array_of(targets.wrist));
+    if (targets.distances)
+      for (const Vector* part : {&targets.aims, &targets.weights, &targets.margins})
         found.append(array_of(*part));
     if (!reader->map) return found;
-    const double* from = asked.diagnostics.data();
+    const double* from = targets.diagnostics.data();
     for (const auto [rows, columns] : reader->map->shapes()) {
       found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
       from += rows * std::max<size_t>(columns, 1);
@@ -258,10 +258,10 @@ class SampleReader {
   }
 };
 
-// What a `HandMapper` does with the samples after its reference.
-class SampleMapper : public SampleReader {
+// Maps the samples after a reference to commands of one hand; see mapping/hand_mapper.py.
+class HandMapper : public SampleReader {
  public:
-  SampleMapper(std::shared_ptr<Ik> ik, std::shared_ptr<const TargetMap> map, StepViews views)
+  HandMapper(std::shared_ptr<Ik> ik, std::shared_ptr<const TargetMap> map, StepViews views)
       : SampleReader(map), ik_(std::move(ik)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik_->tree.joint_columns})) {

@@ -1,4 +1,4 @@
-// Both hands of a person on one robot: see mapping/robot_mapper.py, whose names these are.
+// Both hands of a person on one robot: see mapping/robot_mapper.py and mapping/two_palms.py.
 #pragma once
 
 #include "mapper.hpp"
@@ -6,47 +6,49 @@
 
 namespace handmap {
 
-// What a hand of a person asks of a robot; see mapper.Asked.
-struct Ask {
+// What one hand of a person asks of a robot; see mapping/hand_request.py.
+struct HandRequest {
   std::shared_ptr<const StepReader> reader;
-  nb::object source;  // what Python has in the place of the map
+  nb::object python_map;  // the map as Python has it
   HumanPose pose;
   double dt, speed;
 
   const TargetMap& map() const { return *reader->map; }
-  void targets(Asked& asked) const {
-    map().targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
+  void targets(Targets& targets) const {
+    map().targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, targets);
   }
   nb::object read_targets() const {
     Stages stages;
     stages.reader = reader;
-    targets(stages.asked);
-    return stages.read_asked();
+    targets(stages.targets);
+    return stages.read_targets();
   }
 };
 
-// Lets a `Leader` ask with each sample after its reference.
-class Asker : public SampleReader {
+// Makes a `HandRequest` of each sample after a reference, and moves no robot; see
+// mapping/target_source.py.
+class TargetSource : public SampleReader {
  public:
-  // `source` is handed on with every `Ask`.
-  Asker(const Ik& ik, std::shared_ptr<const TargetMap> map, StepViews views, nb::object source)
-      : SampleReader(map), source_(std::move(source)),
+  // `python_map` is handed on with every `HandRequest`.
+  TargetSource(const Ik& ik, std::shared_ptr<const TargetMap> map, StepViews views,
+               nb::object python_map)
+      : SampleReader(map), python_map_(std::move(python_map)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik.tree.joint_columns})) {
     check_robot(*map_, ik);
   }
 
  protected:
-  // A hand asks by the time since its own last sample; the robot has a clock of its own.
+  // The time of a request is that since the hand's last sample; the robot has a clock of its own.
   nb::object moved(HumanPose&& pose, const When& when, double speed) override {
     check_pose(*map_, pose);
-    return nb::cast(Ask{reader_, source_, std::move(pose), when.own_time(), speed});
+    return nb::cast(HandRequest{reader_, python_map_, std::move(pose), when.own_time(), speed});
   }
   // `RobotFollower` relates the clocks of hands to the robot's.
   double last_time() override { return -HUGE_VAL; }
 
  private:
-  nb::object source_;
+  nb::object python_map_;
   std::shared_ptr<const StepReader> reader_;
 };
 
@@ -57,12 +59,12 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
   return {turn, centre - turn * centre};
 }
 
-// Moves a robot for what its hands ask.
-class RobotMover {
+// Moves a robot for the requests of its hands.
+class RobotMapper {
  public:
-  using Asks = std::vector<const Ask*>;
+  using Requests = std::vector<const HandRequest*>;
 
-  RobotMover(std::shared_ptr<Ik> ik, RobotModel model, StepViews views)
+  RobotMapper(std::shared_ptr<Ik> ik, RobotModel model, StepViews views)
       : ik_(std::move(ik)), reader_(std::make_shared<StepReader>(
                                 StepReader{std::move(views), nullptr, ik_->tree.joint_columns})),
         model_(std::move(model)), hands_(model_.hands), rest_(ik_->tree.joint_rest) {
@@ -77,92 +79,92 @@ class RobotMover {
     }
     if (has_pinches) margins_.assign(ik_->pairs->size(), model_.margin);
   }
-  RobotMover(const RobotMover&) = delete;
+  RobotMapper(const RobotMapper&) = delete;
 
-  // Move the robot for what its hands ask, so long after their references [s], whose worlds are where
-  // the robot is seen from; no worlds if its base has not moved. Return the stages of the robot, and
-  // those of each hand.
-  std::pair<nb::object, std::vector<nb::object>> move(const Asks& asks, const Vector& since,
+  // Move the robot for a request of each hand. `since` is the time since the reference of each [s].
+  // `worlds` are the worlds of these references, seen from the robot's base; none if the base has
+  // not moved. Return the stages of the robot, and those of each hand.
+  std::pair<nb::object, std::vector<nb::object>> move(const Requests& requests, const Vector& since,
                                                       const std::vector<Pose>& worlds,
                                                       const When& when) {
-    expect(asks.size() == hands_.size() && since.size() == hands_.size() &&
+    expect(requests.size() == hands_.size() && since.size() == hands_.size() &&
                (worlds.empty() || worlds.size() == hands_.size()),
            "wrong number of hands");
     const Work moving(*ik_);
     double speed = 1.0;
-    for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
-    aim(asks, since, worlds);
+    for (const HandRequest* request : requests) speed = std::min(speed, request->speed);
+    aim(requests, since, worlds);
     goal_.postures = ik_->postures(wanted_rest_, ik_->motion.next(when).granted);
     goal_.regularise(regularisation_);
     auto [made, whole] = new_stages(reader_);
     seek(*ik_, goal_, when, margins_, speed, whole.result);
     finish(*ik_, whole);
-    whole.asked.points = whole.result.targets;
-    whole.asked.wrist = goal_.wrists[0];
-    whole.pose = {{}, asks[0]->pose.has_wrist, asks[0]->pose.wrist};
+    whole.targets.points = whole.result.targets;
+    whole.targets.wrist = goal_.wrists[0];
+    whole.pose = {{}, requests[0]->pose.has_wrist, requests[0]->pose.wrist};
     std::vector<nb::object> parts;
-    for (size_t k = 0; k < asks.size(); ++k) {
-      for (const Vec3& point : asks[k]->pose.points) whole.pose.points.push_back(point);
-      whole.asked.is_clamped |= asked_[k].is_clamped;
-      parts.push_back(part_of(whole, *asks[k], k));
+    for (size_t k = 0; k < requests.size(); ++k) {
+      for (const Vec3& point : requests[k]->pose.points) whole.pose.points.push_back(point);
+      whole.targets.is_clamped |= targets_[k].is_clamped;
+      parts.push_back(part_of(whole, *requests[k], k));
     }
     return {made, std::move(parts)};
   }
 
  private:
-  // Set the goal to what the hands ask.
-  void aim(const Asks& asks, const Vector& since, const std::vector<Pose>& worlds) {
-    const size_t count = asks.size();
+  // Set the goal to the requests of the hands.
+  void aim(const Requests& requests, const Vector& since, const std::vector<Pose>& worlds) {
+    const size_t count = requests.size();
     goal_.points.clear();
     goal_.wrists.clear();
     goal_.distances.clear();
     goal_.offsets.clear();
     wanted_rest_ = rest_;
     regularisation_.assign(rest_.size(), 1.0);
-    asked_.resize(count);
+    targets_.resize(count);
     persons_.resize(count);
     for (size_t k = 0; k < count; ++k) {
-      Asked& asked = asked_[k];
-      asks[k]->targets(asked);
-      if (asked.points.size() != ik_->tree.parts[k].end - ik_->tree.parts[k].first ||
-          asks[k]->map().rest.size() != rest_.size())
+      Targets& targets = targets_[k];
+      requests[k]->targets(targets);
+      if (targets.points.size() != ik_->tree.parts[k].end - ik_->tree.parts[k].first ||
+          requests[k]->map().rest.size() != rest_.size())
         throw std::invalid_argument("the map is of another hand");
       Pose world;
       if (!worlds.empty()) {
         world = worlds[k];
         move_targets(k, world);
       }
-      if (const PalmMap* palm = asks[k]->map().palm()) {
-        persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
+      if (const PalmMap* palm = requests[k]->map().palm()) {
+        persons_[k] = world * palm->person_at(requests[k]->pose.wrist);
         turn(*palm, k, smoothstep(since[k] / model_.turns_in));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (ik_->tree.fingers[k][i] != 0.0) {
-          wanted_rest_[i] = asks[k]->map().rest[i];
-          if (asked.regularisation) regularisation_[i] = (*asked.regularisation)[i];
+          wanted_rest_[i] = requests[k]->map().rest[i];
+          if (targets.regularisation) regularisation_[i] = (*targets.regularisation)[i];
         }
       // Others never change.
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
         margins_.at(hands_[k].pinching[i]) =
-            asked.margins.empty() ? model_.margin : asked.margins.at(hands_[k].among_own[i]);
+            targets.margins.empty() ? model_.margin : targets.margins.at(hands_[k].among_own[i]);
     }
-    if (count == 2) bring_together(asks);
-    for (const Asked& asked : asked_) {
-      goal_.points.insert(goal_.points.end(), asked.points.begin(), asked.points.end());
-      goal_.wrists.push_back(asked.wrist);
-      if (asked.distances)
-        goal_.distances.push_back({asked.distances, asked.aims, asked.weights});
+    if (count == 2) bring_together(requests);
+    for (const Targets& targets : targets_) {
+      goal_.points.insert(goal_.points.end(), targets.points.begin(), targets.points.end());
+      goal_.wrists.push_back(targets.wrist);
+      if (targets.distances)
+        goal_.distances.push_back({targets.distances, targets.aims, targets.weights});
     }
   }
 
   // The target of a palm.
   Pose palm_of(const PalmMap& map, size_t k) const {
-    return asked_[k].wrist * inverse(map.robot_palm_to_wrist);
+    return targets_[k].wrist * inverse(map.robot_palm_to_wrist);
   }
 
   void move_targets(size_t k, const Pose& motion) {
-    for (Vec3& point : asked_[k].points) point = motion * point;
-    asked_[k].wrist = motion * asked_[k].wrist;
+    for (Vec3& point : targets_[k].points) point = motion * point;
+    targets_[k].wrist = motion * targets_[k].wrist;
   }
 
   // Turn targets about a palm's anchor to the person's axes, and shift them.
@@ -173,8 +175,8 @@ class RobotMover {
   }
 
   // Move the targets of near palms to where one is seen from the other as the person's is.
-  void bring_together(const Asks& asks) {
-    const PalmMap *first = asks[0]->map().palm(), *other = asks[1]->map().palm();
+  void bring_together(const Requests& requests) {
+    const PalmMap *first = requests[0]->map().palm(), *other = requests[1]->map().palm();
     if (!first || !other) return;
     const Vec3 apart = persons_[1].p - persons_[0].p;
     const double gap = norm(apart) / (1.0 + first->further);
@@ -193,17 +195,17 @@ class RobotMover {
   }
 
   // The stages of one hand.
-  nb::object part_of(const Stages& whole, const Ask& ask, size_t k) {
-    auto [made, stages] = new_stages(ask.reader);
+  nb::object part_of(const Stages& whole, const HandRequest& request, size_t k) {
+    auto [made, stages] = new_stages(request.reader);
     const Part& part = ik_->tree.parts[k];
     const auto own = [&part](const std::vector<Vec3>& of) {
       return std::vector<Vec3>(of.begin() + part.first, of.begin() + part.end);
     };
     const Result& all = whole.result;
-    stages.pose = ask.pose;
-    stages.asked = std::move(asked_[k]);
-    stages.asked.points = own(all.targets);
-    stages.result = {all.status,       own(all.points),  stages.asked.points, {all.wrists[k]},
+    stages.pose = request.pose;
+    stages.targets = std::move(targets_[k]);
+    stages.targets.points = own(all.targets);
+    stages.result = {all.status,       own(all.points),  stages.targets.points, {all.wrists[k]},
                      all.displacement, all.active,       all.iterations,      all.last_step,
                      all.held_by};
     stages.motion = whole.motion;
@@ -217,8 +219,8 @@ class RobotMover {
   const std::vector<RobotHandModel>& hands_;
   const Vector rest_;
   Vector margins_;
-  // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
-  std::vector<Asked> asked_;
+  // Targets of each hand, the person's palms in the robot's world, and the goal of the QP.
+  std::vector<Targets> targets_;
   std::vector<Pose> persons_;
   Vector wanted_rest_, regularisation_;
   Goal goal_;

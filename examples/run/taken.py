@@ -28,11 +28,15 @@ errors se3 options models client/__init__ client/messages
 hands/configuration hands/pad
 human/findings human/recording human/sample
 ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
-mapping/method mapping/palm mapping/robot_mapper
+mapping/alignment mapping/command_time mapping/decomposition mapping/estimation
+mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/hands_as_one mapping/mapper
+mapping/method mapping/moving_robot mapping/named_method mapping/palm mapping/readers
+mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step mapping/step
+mapping/target_source mapping/two_palms
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
-stream/closing_pads stream/follower stream/following stream/grip stream/guard stream/hand_grip
-stream/object_place stream/robot_follower stream/step_table
+stream/closing_pads stream/follower stream/following stream/grip
+stream/guard stream/hand_follower stream/hand_grip stream/object_place stream/rejoin
+stream/robot_follower stream/smoothing stream/step_table
 trackers/hand_geometry trackers/plausibility trackers/wrist_axes
 """
 DATA = ("human/rules.json",)

@@ -8,8 +8,10 @@ from .alignment import (
     rotation_of,
     rotation_onto,
 )
+from .command_time import check_dt, check_when, own_time
 from .decomposition import Decomposition, Primitives, decompose, polar, primitives
 from .estimation import MotionEstimate, MotionEstimator, estimate_motion
+from .hand_mapper import HandMapper
 from .hand_pair import (
     KNUCKLES,
     HandPair,
@@ -22,31 +24,22 @@ from .hand_pair import (
     robot_fingers,
     touching_distances,
 )
-from .mapper import (
-    HandMapper,
-    LandmarkReader,
-    check_dt,
-    check_joints,
-    check_when,
-    own_time,
-)
+from .hand_request import HandRequest
 from .method import (
     FOLLOWING,
     PRESETS,
+    AnyPose,
     CoreMap,
     HumanPose,
-    MapStep,
     Method,
     Preset,
-    RobotCommand,
     RobotPosture,
-    Stages,
     Targets,
-    arm_held_by,
     core_pose,
     default_preset,
     get_preset,
 )
+from .moving_robot import MovingRobot
 from .objects import (
     KINDS,
     Box,
@@ -72,7 +65,13 @@ from .presets import (
     preset_choice,
     preset_with,
 )
-from .robot_mapper import RobotMapper, RobotStep
+from .readers import JointReader, LandmarkReader, check_joints
+from .reference import Placement, Reference
+from .robot_hand import RequestStep, RobotHand
+from .robot_mapper import RobotMapper
+from .robot_step import RobotStep
+from .step import MapStep, RobotCommand, SampleStep, Stages, arm_held_by
+from .target_source import TargetSource
 
 __all__ = [
     "FOLLOWING",
@@ -81,6 +80,7 @@ __all__ = [
     "KNUCKLES",
     "PRESETS",
     "AlignedOptions",
+    "AnyPose",
     "Box",
     "Choice",
     "CoreMap",
@@ -88,26 +88,35 @@ __all__ = [
     "Decomposition",
     "HandMapper",
     "HandPair",
+    "HandRequest",
     "HumanPose",
+    "JointReader",
     "LandmarkReader",
     "MapStep",
     "MeshShape",
     "Method",
     "MotionEstimate",
     "MotionEstimator",
+    "MovingRobot",
     "PalmMap",
     "PalmMethod",
+    "Placement",
     "Preset",
     "Primitives",
+    "Reference",
+    "RequestStep",
     "RobotCommand",
     "RobotFingers",
+    "RobotHand",
     "RobotMapper",
     "RobotPosture",
     "RobotStep",
     "Row",
+    "SampleStep",
     "Shape",
     "Sphere",
     "Stages",
+    "TargetSource",
     "Targets",
     "alignment_from_gestures",
     "arm_held_by",

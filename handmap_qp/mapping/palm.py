@@ -12,7 +12,7 @@ from handmap_core.models import PalmModel
 from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from handmap_qp.hands import Hand
 from .alignment import AlignedOptions, rotation_of
-from .method import HumanPose, RobotPosture, TargetMap
+from .method import AnyPose, HumanPose, RobotPosture, TargetMap
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -39,7 +39,7 @@ class PalmMethod:
         self.human = human
         self.robot = robot
 
-    def palm_of(self, sample: HumanPose) -> Array:
+    def palm_of(self, sample: AnyPose) -> Array:
         """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
         assert sample.wrist is not None
         return sample.wrist @ self.wrist_to_palm
@@ -161,7 +161,7 @@ class PalmMap:
         """
         return affine(self.alignment, self.alignment @ self.offset)
 
-    def person_at(self, sample: HumanPose) -> Array:
+    def person_at(self, sample: AnyPose) -> Array:
         """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
 
         Its place is times the scale.

@@ -4,36 +4,32 @@
     step = mapper.map_landmarks({"left": left, "right": right})
     robot.move_joints(step.command.joint_names, step.command.q)
 
-Each hand is mapped by a `Leader`: a `HandMapper` that leaves the motion to the robot. Soon after
-its reference, the robot's palm has the directions of the person's. Where the person's palms are
-near each other, the robot's have their offset, too.
+It has a `RobotHand` with a `TargetSource` for each hand, and one `MovingRobot`. Soon after its
+reference, the robot's palm has the directions of the person's. Where the person's palms are near
+each other, the robot's have their offset, too.
 """
 
-import copyreg
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from operator import attrgetter
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_core.core import core
-from handmap_core.errors import HandmapError, InvalidOptionsError, expect
+from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.models import RobotHandModel, RobotModel, encode
 from handmap_core.se3 import (
     Array,
     PoseLike,
-    affine,
+    QuatOrder,
     check_pose,
-    frozen,
     inverse_pose,
-    lengths,
     smoothstep,
-    transform_points,
 )
 from handmap_qp.hands import (
     LINK_MARGIN,
@@ -44,232 +40,40 @@ from handmap_qp.hands import (
     load_hand,
 )
 from handmap_qp.human import Verdict, human_name
-from handmap_qp.ik import (
-    AttachedPoints,
-    IkOptions,
-    IkResult,
-    Motion,
-    PointIk,
-    PointOffset,
-    Task,
-    When,
-)
+from handmap_qp.ik import IkOptions, Motion, PointIk, When
+from .command_time import check_when
 from .exclusive import WorkLock, exclusively
-from .mapper import (
-    Asked,
-    HandMapper,
-    JointReader,
-    LandmarkReader,
-    Mover,
-    check_dt,
-    check_joints,
-    check_when,
-    own_time,
-    posture_of,
-    stages_of,
-)
-from .method import (
-    AnyStages,
-    CoreMap,
-    HumanPose,
-    MapStep,
-    Method,
-    TargetMap,
-    Targets,
-    step_views,
-)
-from .palm import PalmMap
+from .hands_as_one import rest_as_one, stages_as_one, targets_as_one
+from .mapper import Mapper
+from .method import BoundMethod, Method, Targets
+from .moving_robot import MovingRobot
+from .readers import JointReader, LandmarkReader, check_joints
+from .robot_hand import HOME, RequestStep, RobotHand
+from .robot_step import RobotStep, part_step, whole_step
+from .step import AnyStages, MapStep
+from .target_source import TargetSource
+from .two_palms import NEAR, TOGETHER, TOGETHER_SHARE, aimed, brought_together
 
-# Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
-_NEAR = 0.4
-_TOGETHER = 0.2
-# Weight of that over the weight of a wrist's position.
-_TOGETHER_SHARE = 5.0
-# Where a base is that nobody has moved; a copy of it is slower, and no different.
-_HOME = frozen(np.eye(4))
-
-
-class Leader(HandMapper):
-    """A `HandMapper` that asks a robot to move; the stages of its steps are what it asks.
-
-    Attributes:
-        last: The step with which it asked last.
-        since: Time since its reference [s].
-        waited: Time that the robot has moved since this hand's last sample [s].
-        base: Where the robot's base was at its reference, shape (4, 4).
-    """
-
-    last: Any = None
-    since = 0.0
-    waited = 0.0
-    base = _HOME
-
-    def join(self, ik: PointIk) -> None:
-        """Ask the robot that a solver moves."""
-        self.point_ik = ik
-        self._awaits_palm = False
-        self.core = None
-
-    @property
-    def asked(self) -> Any:
-        """What it asked last, as `Asked` or as the core has it."""
-        return self.last and self.last.stages
-
-    def engage(self) -> None:
-        """Make the next sample the reference; see `HandMapper.engage`."""
-        super().engage()
-        self.since = 0.0
-        self.waited = 0.0
-        self.last = MapStep(self.asked, (), 0.0)
-
-    def _when(self, dt: When | None, time: float | None) -> float:
-        """Return the time since the last sample of this hand; the robot has a clock of its own."""
-        expect(time is None, "time", "none: give it to the `RobotMapper`", value=time)
-        return self.dt if dt is None else check_dt(own_time(dt))
-
-    def map(
-        self, sample: HumanPose, dt: When | None = None, *, speed: float = 1.0
-    ) -> MapStep:
-        """Ask the robot to move.
-
-        Args:
-            sample: As of `HandMapper.map`.
-            dt: Time since the last sample of this hand [s].
-            speed: As of `HandMapper.map`.
-        """
-        own = None if dt is None else own_time(dt)
-        return super().map(sample, own, speed=speed)
-
-    def _new_core(self, target_map: CoreMap) -> core.Asker:
-        views = self._views_by(target_map)
-        return core.Asker(self.point_ik.core, target_map.make_core(), views, target_map)
-
-    def _moved(
-        self,
-        pose: HumanPose,
-        targets: Targets,
-        target_map: TargetMap,
-        when: When,
-        speed: float,
-    ) -> Any:
-        """Ask the robot to move."""
-        dt = own_time(when)
-        return Asked(pose, targets, target_map.rest, dt, speed, target_map)
-
-    @property
-    def is_staying(self) -> bool:
-        """Whether the robot's hand is to stay."""
-        return self.asked and self.asked.map is None
-
-    def stay(self) -> None:
-        """Ask that the robot's hand stays where it is now."""
-        at = posture_of(self.robot, self.motion.q)
-        margins = self.asked and self.asked.targets.margins
-        targets = Targets(at.points, at.wrist, margins=margins)
-        asked = Asked(self._unseen, targets, at.q, self.dt)
-        self.last = structs.replace(self.last, stages=asked)
-
-    def hold(self, dt: When, seen: HumanPose | None = None) -> MapStep:
-        """Ask that the robot's hand stays where it is.
-
-        Args:
-            dt: Time since the last sample of this hand [s].
-            seen: As of `HandMapper.hold`.
-        """
-        if not self.is_staying:
-            self.stay()
-        asked = self.asked
-        own = check_dt(own_time(dt))
-        return MapStep(asked._replace(pose=seen or asked.pose, dt=own), (), 0.0)
-
-
-ReaderOf = Callable[[Leader], LandmarkReader | JointReader]
+ReaderOf = Callable[[TargetSource], LandmarkReader | JointReader]
 """Returns what reads the samples of a hand as they come in."""
 
 
-def _landmark_reader(leader: Leader) -> LandmarkReader:
-    return leader.landmarks
+def _landmark_reader(source: TargetSource) -> LandmarkReader:
+    return source.landmarks
 
 
-def _joint_reader(leader: Leader) -> JointReader:
-    return leader._joints
+def _joint_reader(source: TargetSource) -> JointReader:
+    return source.joints
 
 
-def _reduced_ask(ask: core.Ask) -> tuple[Any, ...]:
-    """Make a copy of what a hand asks in the core one of Python, by copy or pickle."""
-    return Asked, (ask.pose, ask.targets, ask.rest, ask.dt, ask.speed, ask.map)
-
-
-copyreg.pickle(core.Ask, _reduced_ask)
-
-
-def _plain_targets(parts: list[Array], is_clamped: bool) -> Targets:
+def _robot_targets(parts: list[Array], is_clamped: bool) -> Targets:
     """Return the targets of a robot, whose points and wrist the core has."""
     flags = ("stretch_clamped",) if is_clamped else ()
     points, wrist = parts
     return Targets(points, wrist, flags=flags)
 
 
-def _aimed(
-    leader: Leader, to_base: Array, turns_in: float
-) -> tuple[Targets, Array | None]:
-    """Return targets whose palm is turning to the person's, and the person's palm.
-
-    All are seen from the robot's base, where its world now is at (4, 4). There is no palm, (4, 4),
-    where the robot's hand stays, and goes with the base, or the method moves none.
-    """
-    asked = leader.asked
-    if leader.is_staying:
-        return asked.targets, None
-    world = to_base @ leader.base
-    targets = _moved_by(world, asked.targets)
-    if not isinstance(asked.map, PalmMap):
-        return targets, None
-    person = world @ asked.map.person_at(asked.pose)
-    share = float(smoothstep(leader.since / turns_in))
-    return _turned(asked.map, targets, person, share), person
-
-
-def _turned(
-    leading: PalmMap,
-    targets: Targets,
-    person: Array,
-    share: float,
-    shift: Array | float = 0.0,
-) -> Targets:
-    """Return targets whose palm has turned about its anchor to the axes of a palm, and shifted."""
-    palm = targets.wrist @ inverse_pose(leading.robot_palm_to_wrist)
-    centre = transform_points(palm, leading.robot_anchor)
-    turn = pin.exp3(share * pin.log3(person[:3, :3] @ palm[:3, :3].T))
-    return _moved_by(affine(turn, centre - turn @ centre + shift), targets)
-
-
-def _moved_by(motion: Array, targets: Targets) -> Targets:
-    """Return the targets of a hand after a motion, shape (4, 4)."""
-    points = transform_points(motion, targets.points)
-    return structs.replace(targets, points=points, wrist=motion @ targets.wrist)
-
-
-class RobotStep(MapStep, frozen=True, kw_only=True):
-    """One step of a robot: that of one hand with the points of all, one after the other.
-
-    `wrist` and its error are those of the first hand. It is held if all hands are, and has the rule
-    of any that breaks one.
-
-    Attributes:
-        hands: The step of each hand by side, with its own points and wrist.
-    """
-
-    hands: dict[Side, MapStep]
-
-    @property
-    def arm_held_by(self) -> str:
-        """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
-        causes = (step.arm_held_by for step in self.hands.values())
-        return next(filter(None, causes), "")
-
-
-class RobotMapper(Mover):
+class RobotMapper(Mapper[core.RobotMapper]):
     """Turns the motion of a person's hands into the motion of a robot.
 
     The first sample of each hand is its reference; the robot is at rest there. A copy continues
@@ -279,16 +83,23 @@ class RobotMapper(Mover):
         robot: The robot, as of `load_robot`.
         humans: The hands that lead, by side; hands of the package's person if omitted.
         method: As of `HandMapper`, for all hands.
+        preset: Likewise.
         ik: Weights and settings of the QP; those of the preset if omitted.
+        dt: Usual time between samples [s], where a step gives none of its own.
+        quat_order: As of `HandMapper`.
+        joint_tolerance: Likewise [rad].
         turns_in: Time after a reference until the robot's palms have the directions of the person's
             [s]; infinite to keep how they differ at the reference.
-        **options: As of `HandMapper`, such as `preset`, but for `tasks`: name them in `IkOptions`.
+        **options: Options of the method, as of `HandMapper`. Name tasks in `IkOptions`.
 
     Attributes:
-        leaders: The mapping of each hand. Its reference and clutch are its own.
-        point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
-            mapper.
-        core: The compiled core's `RobotMover`; None where Python has to look at the next samples.
+        hands: Each hand of the robot, by side. Its reference and clutch are its own.
+        moving_robot: The robot's side.
+        turns_in: As given [s].
+        pinching: Which r pairs of shapes of each hand pinch: their indices among all pairs and
+            among those of the hand, shape (2, r). Empty if no method keeps links apart.
+        core: What moves the robot in the compiled core; None where Python has to look at the next
+            samples.
 
     Raises:
         InvalidOptionsError: As of `HandMapper`.
@@ -301,7 +112,11 @@ class RobotMapper(Mover):
         humans: Mapping[Side, Hand] | None = None,
         method: Method | str | None = None,
         *,
+        preset: str | None = None,
         ik: IkOptions | None = None,
+        dt: float = 1.0 / 60.0,
+        quat_order: QuatOrder | None = None,
+        joint_tolerance: float = 0.25,
         turns_in: float = 2.0,
         **options: Any,
     ) -> None:
@@ -313,38 +128,52 @@ class RobotMapper(Mover):
                 for side in robot.by_side
             }
         _expect_sides(robot.by_side, humans, "humans")
-        self._name = robot.name
-        self.work = WorkLock()
-        self.leaders = {
-            side: Leader(humans[side], hand, method, ik=ik, **options)
+        sources = {
+            side: TargetSource(
+                humans[side],
+                hand,
+                method,
+                preset=preset,
+                quat_order=quat_order,
+                joint_tolerance=joint_tolerance,
+                options=options,
+            )
             for side, hand in robot.by_side.items()
         }
-        for leader in self.leaders.values():
-            # Whoever works on a hand works on the robot.
-            leader.work = self.work
-        self._base = _HOME
-        self._turns_in = turns_in
-        self._join()
+        self._name = robot.name
+        self._base = HOME
+        self.turns_in = turns_in
+        self.work = WorkLock()
+        first = sources[robot.side]
+        bound = [source.bound for source in sources.values()]
+        solver, self.pinching = _solver_of(robot.name, bound, ik or first.weights)
+        self.moving_robot = MovingRobot(solver, dt)
+        self.core = None
+        self.hands = {
+            side: RobotHand(source, self.moving_robot, self.work)
+            for side, source in sources.items()
+        }
         self.reset()
 
     @property
-    def _usual_dt(self) -> float:
-        return self.leaders[self.robot.side].dt
+    def sources(self) -> dict[Side, TargetSource]:
+        """The human's side of each hand, by side."""
+        return {side: hand.source for side, hand in self.hands.items()}
 
     @property
     def human(self) -> Hand:
         """The first hand that leads; joints and points of the others have the same names."""
-        return self.leaders[self.robot.side].human
+        return self.hands[self.robot.side].source.human
 
     @property
     def robot(self) -> Hand:
         """The robot as one hand, with the reference points of all that the methods move."""
-        return self.point_ik.hand
+        return self.moving_robot.point_ik.hand
 
     def _was_moved(self) -> None:
-        for leader in self.leaders.values():
-            if leader.is_staying:
-                leader.stay()
+        for hand in self.hands.values():
+            if hand.is_staying:
+                hand.stay()
 
     @property
     def base_pose(self) -> Array:
@@ -379,8 +208,8 @@ class RobotMapper(Mover):
     ) -> RobotStep:
         """Map the landmarks of one or both hands; see `HandMapper.map_landmarks`.
 
-        A hand without landmarks goes on to what it asked for last. The limits of speed and
-        acceleration hold in the time since the robot's last command, whichever hand led to that.
+        A hand without landmarks goes on to its last request. The limits of speed and
+        acceleration hold in the time since the robot's last command, whichever hand that was for.
 
         Args:
             landmarks: By side, shape (21, 3) [m].
@@ -418,18 +247,19 @@ class RobotMapper(Mover):
         dt: When | None,
         time: float | None,
     ) -> RobotStep:
-        """Map samples as they come in, by a reader that each leader has."""
+        """Map samples as they come in, by a reader that each source has."""
 
-        def ask(side: Side) -> MapStep:
-            leader = self.leaders[side]
+        def request_of(side: Side) -> RequestStep:
+            hand = self._hand(side)
             since = self.time_since_sample(side, when)
-            reader = reader_of(leader)
-            return leader._mapped(reader, numbers[side], wrists.get(side), since)
+            reader = reader_of(hand.source)
+            return hand.read(reader, numbers[side], wrists.get(side), since)
 
-        when = self._when(dt, time)
+        robot = self.moving_robot
+        when = robot.when(dt, time)
         step = self._mapped_in_core(reader_of, numbers, wrists, when)
-        step = step or self.step(numbers, ask, when)
-        self._note_time(time, when)
+        step = step or self.step(numbers, request_of, when)
+        robot.note_time(time, when)
         return step
 
     def _mapped_in_core(
@@ -440,31 +270,35 @@ class RobotMapper(Mover):
         when: When,
     ) -> RobotStep | None:
         """Map samples of all hands as `step` does; None for some that Python has to look at."""
-        if self.core is None or numbers.keys() != self.leaders.keys():
+        if self.core is None or numbers.keys() != self.hands.keys():
             return None
         started = perf_counter()
         granted = self.point_ik.gate.interval(when).granted
-        asking = []
-        for side, leader in self.leaders.items():
-            # A hand that has stayed asks in Python first.
-            if leader.core is None or not isinstance(leader.asked, core.Ask):
+        requests = []
+        since = []
+        for side, hand in self.hands.items():
+            # A hand that has stayed begins in Python.
+            if hand.core is None or hand.is_staying:
                 return None
-            reader = reader_of(leader).core
-            own = leader.waited + granted
-            timed = leader.core.map(reader, numbers[side], wrists.get(side), own)
+            reader = reader_of(hand.source).core
+            waited = hand.waited + granted
+            timed = hand.core.map(reader, numbers[side], wrists.get(side), waited)
             if timed is None:
                 return None
-            asking.append((leader, timed[0], leader.since + timed[0].dt))
-        _, asks, since = map(list, zip(*asking, strict=True))
-        stages, parts = self.core.move(asks, since, self._worlds(), when)
+            request, _ = timed
+            requests.append(request)
+            since.append(hand.since + request.dt)
+        stages, parts = self.core.move(requests, since, self._worlds(), when)
         duration = perf_counter() - started
-        for leader, asked, time in asking:
-            leader.last = MapStep(asked, (), duration)
-            leader.since = time
-            leader.waited = 0.0
-        steps = [MapStep(part, (), duration) for part in parts]
-        hands = dict(zip(self.leaders, steps, strict=True))
-        return RobotStep(stages, (), duration, hands=hands)
+        for hand, request, time in zip(
+            self.hands.values(), requests, since, strict=True
+        ):
+            hand.step = RequestStep(request, duration=duration)
+            hand.since = time
+            hand.waited = 0.0
+        steps = [MapStep(part, duration=duration) for part in parts]
+        hands = dict(zip(self.hands, steps, strict=True))
+        return RobotStep(stages, duration=duration, hands=hands)
 
     def time_since_sample(self, side: Side, when: When) -> float:
         """Return the time from a hand's last sample to a command that it has one for [s].
@@ -473,117 +307,127 @@ class RobotMapper(Mover):
             side: The hand.
             when: When the command is.
         """
-        return self._leader(side).waited + self.point_ik.gate.interval(when).granted
+        return self._hand(side).waited + self.point_ik.gate.interval(when).granted
 
     @exclusively
     def step(
         self,
         sides: Iterable[Side],
-        ask: Callable[[Side], MapStep],
+        request_of: Callable[[Side], RequestStep],
         when: When | None = None,
     ) -> RobotStep:
-        """Let leaders ask, and move the robot.
+        """Move the robot for requests of its hands.
 
         Args:
-            sides: The hands that have a sample.
-            ask: Returns a step of the leader of a hand, such as `mapper.leaders[side].map(pose)`.
-                What it takes for the time since the hand's last sample does not count for the
-                robot's limits.
+            sides: The hands that have a sample. The others go on to their last requests.
+            request_of: Returns what a hand asks, such as `mapper.hands[side].map(pose)`. What it
+                takes for the time since the hand's last sample does not count for the robot's
+                limits.
             when: Time since the robot's last command [s], or the instant of this one on the robot's
                 clock; the mapper's own time if omitted.
 
         Raises:
             InvalidInputError: If there is no hand.
-            HandmapError: Any of a leader; the mapper is then as it was before.
+            HandmapError: Any of a hand; the mapper is then as it was before.
         """
         started = perf_counter()
-        when = self._usual_dt if when is None else check_when(when)
+        robot = self.moving_robot
+        when = robot.usual_dt if when is None else check_when(when)
         granted = self.point_ik.gate.interval(when).granted
-        with self._unless_refused():
+        with self._unchanged_by_errors():
             asking = []
             for side in sides:
-                leader = self._leader(side)
-                leader.last = ask(side)
-                asking.append(leader)
-                if not leader.is_staying:
-                    if not leader.since:
-                        leader.base = self._base
-                    leader.since += leader.asked.dt
+                hand = self._hand(side)
+                hand.advance(request_of(side), self._base)
+                asking.append(hand)
             expect(asking, "hands", "a sample of one at least")
             stages, parts = self._moved(when)
-        for leader in self.leaders.values():
+        for hand in self.hands.values():
             # A hand that stays comes back as with a first sample.
-            is_behind = leader not in asking and not leader.is_staying
-            leader.waited = leader.waited + granted if is_behind else 0.0
-        for leader in self.leaders.values():
-            if leader.bound.renews_reference:
-                leader.base = self._base
+            is_behind = hand not in asking and not hand.is_staying
+            hand.waited = hand.waited + granted if is_behind else 0.0
+            if hand.source.bound.renews_reference:
+                hand.base = self._base
         duration = perf_counter() - started
-        hands = {
-            side: structs.replace(leader.last, stages=part, duration=duration)
-            for (side, leader), part in zip(self.leaders.items(), parts, strict=True)
+        steps = {
+            side: part_step(hand.step, part, duration)
+            for (side, hand), part in zip(self.hands.items(), parts, strict=True)
         }
-        return self._whole(hands, stages, duration)
-
-    def _whole(
-        self, hands: dict[Side, MapStep], stages: AnyStages, duration: float
-    ) -> RobotStep:
-        """Return the step of all hands."""
-        steps = hands.values()
-        verdicts = [step.verdict for step in steps if step.verdict]
-        # That of a hand with a rule comes first.
-        first = max(verdicts, key=attrgetter("rule"), default=None)
-        is_held = all(step.is_held for step in steps)
-        return RobotStep(
-            stages=stages,
-            out_of_range=tuple(name for step in steps for name in step.out_of_range),
-            duration=duration,
-            verdict=first and structs.replace(first, is_held=is_held),
-            confidence=min(step.confidence for step in steps),
-            is_gliding=any(step.is_gliding for step in steps),
-            hands=hands,
-        )
+        return whole_step(steps, stages, duration)
 
     def _moved(self, when: When) -> tuple[AnyStages, Sequence[AnyStages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
-        leaders = self.leaders.values()
-        asked = [leader.asked for leader in leaders]
-        if self.ik.is_compiled and not self._is_released:
+        hands = self.hands.values()
+        robot = self.moving_robot
+        if robot.point_ik.is_compiled and not robot.is_released:
             self.core = self.core or self._new_core()
-            if all(isinstance(each, core.Ask) for each in asked):
-                since = [leader.since for leader in leaders]
-                return self.core.move(asked, since, self._worlds(), when)
+            of_core = [
+                hand.request
+                for hand in hands
+                if isinstance(hand.request, core.HandRequest)
+            ]
+            if len(of_core) == len(hands):
+                since = [hand.since for hand in hands]
+                return self.core.move(of_core, since, self._worlds(), when)
         to_base = inverse_pose(self._base)
-        aimed = [_aimed(leader, to_base, self._turns_in) for leader in leaders]
-        targets, persons = map(list, zip(*aimed, strict=True))
-        tasks = self._together([each.map for each in asked], targets, persons)
-        return self._stages(asked, targets, self._solved(asked, targets, tasks, when))
+        apart = [
+            aimed(
+                hand.request,
+                to_base @ hand.base,
+                float(smoothstep(hand.since / self.turns_in)),
+            )
+            for hand in hands
+        ]
+        weight = self.ik.wrist_position_weight
+        together, tasks = brought_together(apart, self.robot, weight)
+        targets = [hand.targets for hand in together]
+        requests = [hand.request for hand in hands]
+        whole = structs.replace(
+            targets_as_one(targets, self.robot),
+            tasks=(*tasks, *(task for hand in targets for task in hand.tasks)),
+            margins=self._margins(targets),
+        )
+        rest = rest_as_one(requests, self.robot)
+        speed = min(request.speed for request in requests)
+        result = robot.follow(whole, rest, when, speed)
+        rows = self.point_ik.configuration.parts
+        return stages_as_one(requests, targets, result, rows)
 
-    def _new_core(self) -> core.RobotMover:
-        """Return what moves the robot in the core for hands that ask there."""
-        links = self.point_ik.gate.links
-        views = step_views(_plain_targets, self.robot, links)
-        return core.RobotMover(self.point_ik.core, encode(self.model()), views)
+    def _margins(self, targets: Sequence[Targets]) -> Array | None:
+        """Return the margin of each pair: that of the hand whose thumb and finger it is."""
+        if not self.pinching:
+            return None
+        margins = np.full(len(self.point_ik.gate.links) - 1, LINK_MARGIN)
+        for hand, (rows, among_its) in zip(targets, self.pinching, strict=True):
+            if hand.margins is not None:
+                margins[rows] = hand.margins[among_its]
+        return margins
+
+    def _new_core(self) -> core.RobotMapper:
+        """Return what moves the robot in the core for requests of the core."""
+        robot = self.moving_robot
+        views = robot.views(_robot_targets, self.robot)
+        return core.RobotMapper(robot.point_ik.core, encode(self.model()), views)
 
     def model(self) -> RobotModel:
-        """Return how the core leads the hands of the robot together."""
+        """Return how the core moves the hands of the robot together."""
         robot = self.robot
-        none = np.zeros(0, dtype=int)
-        pinching = self._pinching or [(none, none)] * len(robot.hands)
+        none = np.zeros((2, 0), dtype=int)
+        pinching = self.pinching or [none] * len(robot.hands)
         return RobotModel(
             hands=tuple(
                 RobotHandModel(
                     palm_joint=hand.palm_frame.parentJoint - 1,
                     palm=hand.palm_frame.placement.homogeneous,
                     pinching=rows,
-                    among_own=own,
+                    among_own=among_its,
                 )
-                for hand, (rows, own) in zip(robot.hands, pinching, strict=True)
+                for hand, (rows, among_its) in zip(robot.hands, pinching, strict=True)
             ),
-            turns_in=self._turns_in,
-            near=_NEAR,
-            together=_TOGETHER,
-            together_share=_TOGETHER_SHARE,
+            turns_in=self.turns_in,
+            near=NEAR,
+            together=TOGETHER,
+            together_share=TOGETHER_SHARE,
             margin=LINK_MARGIN,
         )
 
@@ -592,106 +436,10 @@ class RobotMapper(Mover):
 
         None if the base has not moved.
         """
-        if self._base is _HOME:
+        if self._base is HOME:
             return None
         to_base = inverse_pose(self._base)
-        return np.array([to_base @ leader.base for leader in self.leaders.values()])
-
-    def _solved(
-        self, asked: list[Any], targets: list[Targets], tasks: list[Task], when: When
-    ) -> IkResult:
-        """Move the robot to targets by one QP, in Python or in the core."""
-        if self._is_released:
-            return self.point_ik.hold(when)
-        rest = self.robot.rest.copy()
-        for own, each in zip(self.robot.finger_joints, asked, strict=True):
-            rest[own] = each.rest[own]
-        regularisation = np.ones(len(rest))
-        for own, each in zip(self.robot.finger_joints, targets, strict=True):
-            if each.regularisation is not None:
-                regularisation[own] = each.regularisation[own]
-        return self.point_ik.solve(
-            np.concatenate([each.points for each in targets]),
-            np.array([each.wrist for each in targets]),
-            when,
-            rest=rest,
-            regularisation=regularisation,
-            tasks=sum((each.tasks for each in targets), tuple(tasks)),
-            margins=self._margins(targets),
-            speed=min(each.speed for each in asked),
-        )
-
-    def _stages(
-        self, asked: list[Any], targets: list[Targets], result: IkResult
-    ) -> tuple[AnyStages, Sequence[AnyStages]]:
-        """Return the stages of the robot, and those of each hand."""
-        parts: list[AnyStages] = []
-        for k, own in enumerate(self.point_ik.configuration.parts):
-            part = structs.replace(
-                result,
-                points=result.points[own],
-                targets=result.targets[own],
-                wrists=result.wrists[k : k + 1],
-                hand=self.robot.hands[k],
-            )
-            moved = structs.replace(targets[k], points=part.targets)
-            parts.append(stages_of(asked[k].pose, moved, part))
-        points = np.concatenate([each.pose.points for each in asked])
-        flags = dict.fromkeys(flag for each in targets for flag in each.flags)
-        whole = Targets(result.targets, targets[0].wrist, flags=tuple(flags))
-        pose = HumanPose(points, asked[0].pose.wrist)
-        return stages_of(pose, whole, result), parts
-
-    def _together(
-        self, maps: list[Any], targets: list[Targets], persons: list[Any]
-    ) -> list[Task]:
-        """Let targets of near palms be seen from each other as the person's; return the task of it.
-
-        It is for palms that cannot come there.
-        """
-        if sum(palm is not None for palm in persons) < 2:
-            return []
-        first, other = maps
-        apart = (persons[1] - persons[0])[:3, 3]
-        gap = lengths(apart) / (1.0 + first.further)
-        share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
-        if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
-            return []
-        ends, places = [], []
-        for leading, each, hand in zip(maps, targets, self.robot.hands, strict=True):
-            anchor = leading.robot_anchor
-            ends.append(transform_points(each.wrist @ hand.wrist_to_palm, anchor))
-            palm = hand.palm_frame
-            places.append((palm.parentJoint, palm.placement.act(anchor)))
-        own = ends[1] - ends[0]
-        aim = own + share * (apart - own)
-        for k, person in enumerate(persons):
-            shift = (k - 0.5) * (aim - own)
-            targets[k] = _turned(maps[k], targets[k], person, share, shift)
-        weight = _TOGETHER_SHARE * share * self.ik.wrist_position_weight
-        return [PointOffset(AttachedPoints(self.robot, places), aim, weight)]
-
-    def _margins(self, targets: list[Targets]) -> Array | None:
-        """Return the margin of each pair: that of the hand whose thumb and finger it is."""
-        if not self._pinching:
-            return None
-        found = np.full(len(self.point_ik.gate.links) - 1, LINK_MARGIN)
-        for each, (rows, own) in zip(targets, self._pinching, strict=True):
-            if each.margins is not None:
-                found[rows] = each.margins[own]
-        return found
-
-    def _join(self, motion: Motion | None = None) -> None:
-        """Make one solver of what the leaders are bound to, and let them know it."""
-        leaders = [*self.leaders.values()]
-        whole = joined(self._name, *(leader.robot for leader in leaders))
-        contacts = tuple(filter(None, [leader.bound.contacts for leader in leaders]))
-        pairs, pinching = common_pairs(contacts) if contacts else (None, [])
-        self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
-        self._pinching = pinching
-        self.core = None
-        for leader in leaders:
-            leader.join(self.point_ik)
+        return np.array([to_base @ hand.base for hand in self.hands.values()])
 
     # -- between samples
 
@@ -703,8 +451,9 @@ class RobotMapper(Mover):
             side: The hand.
             verdict: What its steps say meanwhile.
         """
-        leader = self._leader(side)
-        leader.last = structs.replace(leader.hold(leader.dt), verdict=verdict)
+        hand = self._hand(side)
+        held = hand.hold(self.moving_robot.usual_dt)
+        hand.step = structs.replace(held, verdict=verdict)
 
     @exclusively
     def reset(self, robot_q: ArrayLike | None = None) -> None:
@@ -721,17 +470,16 @@ class RobotMapper(Mover):
         q = whole.rest
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
-        self.point_ik.place(whole.configuration_vector(q))
-        self._was_reset = True
+        self.moving_robot.reset(whole.configuration_vector(q))
         self.engage()
 
     @exclusively
     def engage(self) -> None:
         """Make the next sample of each hand its reference; the robot continues from here."""
-        self._is_released = False
-        for leader in self.leaders.values():
-            leader.engage()
-            leader.stay()
+        self.moving_robot.is_released = False
+        for hand in self.hands.values():
+            hand.engage()
+            hand.stay()
 
     @exclusively
     def configure(
@@ -742,33 +490,69 @@ class RobotMapper(Mover):
         Raises:
             InvalidOptionsError: As there; the mapper is then as it was before.
         """
-        with self._unless_refused():
-            for leader in self.leaders.values():
-                leader.configure(method, ik=ik)
-            self._join(self.motion)
-            if method is not None:
-                # What they asked for last was of the former one.
-                for leader in self.leaders.values():
-                    leader.stay()
+        bindings = {}
+        if method is not None:
+            for side, source in self.sources.items():
+                bindings[side] = source.binding(method)
+        if isinstance(method, str):
+            ik = ik or bindings[self.robot.side].weights
+        bound = [
+            bindings[side].bound if side in bindings else source.bound
+            for side, source in self.sources.items()
+        ]
+        motion = self.moving_robot.motion
+        solver, pinching = _solver_of(self._name, bound, ik or self.ik, motion)
+        # Nothing fails from here on.
+        self.moving_robot.replace_solver(solver)
+        self.pinching = pinching
+        self.core = None
+        for side, hand in self.hands.items():
+            hand.core = None
+            if side in bindings:
+                hand.source.bind(bindings[side])
+                # Its last request was of the former method.
+                hand.stay()
 
     @contextmanager
-    def _unless_refused(self) -> Iterator[None]:
-        """Let an error leave all leaders as they were."""
-        before = {side: vars(each).copy() for side, each in self.leaders.items()}
+    def _unchanged_by_errors(self) -> Iterator[None]:
+        """Let an error leave all hands as they were."""
+        before = [(hand, hand.state) for hand in self.hands.values()]
         try:
             yield
-        except HandmapError:
-            for side, state in before.items():
-                vars(self.leaders[side]).update(state)
+        except BaseException:
+            for hand, state in before:
+                hand.state = state
             raise
 
-    def _leader(self, side: Side) -> Leader:
-        if side not in self.leaders:
-            _expect_sides([side], self.leaders, "side")
-        return self.leaders[side]
+    def _hand(self, side: Side) -> RobotHand:
+        if side not in self.hands:
+            _expect_sides([side], self.hands, "side")
+        return self.hands[side]
 
 
-def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
+def _solver_of(
+    name: str, bound: Sequence[BoundMethod], ik: IkOptions, motion: Motion | None = None
+) -> tuple[PointIk, list[Array]]:
+    """Return the QP that moves the robot hands of methods as one.
+
+    Args:
+        name: Name of the robot.
+        bound: The method of each hand.
+        ik: Weights and settings of the QP.
+        motion: How the robot moves; at rest if omitted.
+
+    Returns:
+        The QP, and which r pairs of shapes of each hand pinch, as `RobotMapper.pinching`.
+    """
+    whole = joined(name, *(each.robot for each in bound))
+    contacts = tuple(each.contacts for each in bound if each.contacts)
+    pairs, pinching = common_pairs(contacts) if contacts else (None, [])
+    return PointIk(whole, ik, motion, contacts=pairs), pinching
+
+
+def _expect_sides(
+    sides: Iterable[Side], known: Mapping[Side, object], name: str
+) -> None:
     """Reject sides that are not among the known ones."""
     for side in sides:
         expect(side in known, name, " and ".join(known) or "at least one", value=side)

@@ -1,6 +1,6 @@
 """Which samples of a tracker the robot follows."""
 
-from .follower import SMOOTH_IK, Follower, Smoothing
+from .follower import Follower
 from .following import FollowingCheck
 from .grip import GripFollower, RobotGripFollower, gripping
 from .guard import BEHIND, StreamGuard
@@ -8,6 +8,7 @@ from .hand_grip import GripOptions, can_grip, gripping_presets, has_grasp
 from .held_object import ObjectFollower, ObjectOptions, follow_recording
 from .measurement import measure_person
 from .robot_follower import RobotFollower, paired
+from .smoothing import SMOOTH_IK, Smoothing
 from .step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 __all__ = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from msgspec import structs
@@ -17,6 +17,7 @@ from handmap_core.errors import InvalidInputError, expect
 from handmap_core.se3 import FARTHEST, Array, as_floats, is_real
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
+from handmap_qp.ik import When
 from handmap_qp.mapping import MapStep, Stages
 from .follower import Follower, further_terms, map_with
 from .hand_grip import GripOptions, HandGrip, can_grip
@@ -55,12 +56,11 @@ class GripFollower:
 
     def __init__(self, follower: Follower, grip: GripOptions | None = None) -> None:
         self.follower = follower
-        own = grip or GripOptions()
-        expect(isinstance(own, GripOptions), "grip", "a GripOptions", value=own)
-        mapper = follower.mapper
+        options = _checked_options(grip)
+        source = follower.mapper.source
         wanted = "a hand that `teleoperation` moves, with a thumb and a finger, or jaws"
-        expect(can_grip(mapper), "follower", wanted, value=mapper.robot.name)
-        self.hand_grip = HandGrip(mapper, own)
+        expect(can_grip(source), "follower", wanted, value=source.robot.name)
+        self.hand_grip = HandGrip(source, options)
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -80,7 +80,9 @@ class GripFollower:
         measured_q: ArrayLike | None,
         object_centre: ArrayLike | None = None,
         object_deviation: float = PLACE_DEVIATION,
-        **times: Any,
+        *,
+        dt: When | None = None,
+        arrival: float | None = None,
     ) -> MapStep:
         """Map one sample of a tracker; see `Follower.map_sample`.
 
@@ -94,7 +96,8 @@ class GripFollower:
             object_deviation: Standard deviation of its error along each axis [m]; 0 for an exact
                 one. The larger it is, the more the closing is the person's. A touch corrects the
                 place along the line between the pads.
-            **times: `dt` and `arrival` [s].
+            dt: As of `Follower.map_sample` [s].
+            arrival: Likewise.
 
         Returns:
             The step; its command has the `effort` of a grip.
@@ -103,12 +106,13 @@ class GripFollower:
             InvalidInputError: As there, or if a number here cannot be used.
             InvalidOptionsError: As there, or if the method has no pinches.
         """
-        own = self.hand_grip
+        grip = self.hand_grip
+        follower = self.follower
         # Most sessions never measure.
-        if measured_q is None and object_centre is None and own.is_idle:
-            return self.follower.map_sample(sample, **times)
-        mapper = self.follower.mapper
-        q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
+        if measured_q is None and object_centre is None and grip.is_idle:
+            return follower.map_sample(sample, dt=dt, arrival=arrival)
+        mapper = follower.mapper
+        q = _checked(measured_q, "measured_q", mapper.source.robot.rest.shape)
         centre: Array | None = None
         if object_centre is not None:
             centre = _checked(object_centre, "object_centre", (3,))
@@ -117,14 +121,14 @@ class GripFollower:
             )
             wanted = "a length >= 0 m"
             expect(is_length, "object_deviation", wanted, value=object_deviation)
-        own.prepare()
-        step = map_with(self.follower, own.terms, sample, **times)
+        grip.prepare()
+        step = map_with(follower, grip.terms, sample, dt=dt, arrival=arrival)
         if step.status not in _STILL:
-            own.is_seen = False
+            grip.is_seen = False
             if centre is not None:
-                own.see(centre, object_deviation)
-            own.advance(step, q, mapper.motion.dt)
-        effort = own.effort
+                grip.see(centre, object_deviation)
+            grip.advance(step, q, mapper.motion.dt)
+        effort = grip.effort
         return step if effort is None else _with_effort(step, effort)
 
 
@@ -147,12 +151,11 @@ class RobotGripFollower:
         self, follower: RobotFollower, grip: GripOptions | None = None
     ) -> None:
         self.follower = follower
-        own = grip or GripOptions()
-        expect(isinstance(own, GripOptions), "grip", "a GripOptions", value=own)
+        options = _checked_options(grip)
         self.hands: dict[Side, HandGrip] = {
-            side: HandGrip(leader, own)
-            for side, leader in follower.mapper.leaders.items()
-            if can_grip(leader)
+            side: HandGrip(source, options)
+            for side, source in follower.mapper.sources.items()
+            if can_grip(source)
         }
         wanted = "a robot that `teleoperation` moves, with thumbs and fingers, or jaws"
         name = follower.mapper.robot.name
@@ -174,14 +177,17 @@ class RobotGripFollower:
         self,
         samples: Mapping[Side, HumanSample],
         measured_q: ArrayLike | None,
-        **times: Any,
+        *,
+        dt: When | None = None,
+        arrival: float | None = None,
     ) -> RobotStep:
         """Map one sample of each hand that has one; see `RobotFollower.map_samples`.
 
         Args:
             samples: The samples by side.
             measured_q: Joint positions of the whole robot, as of `GripFollower.map_sample`.
-            **times: `dt` and `arrival` [s].
+            dt: As of `RobotFollower.map_samples` [s].
+            arrival: Likewise.
 
         Returns:
             The step; its command has the `effort` of all grips.
@@ -189,17 +195,16 @@ class RobotGripFollower:
         Raises:
             InvalidInputError: As there, or if a number here cannot be used.
         """
+        follower = self.follower
         if measured_q is None and all(hand.is_idle for hand in self.hands.values()):
-            return self.follower.map_samples(samples, **times)
-        mapper = self.follower.mapper
+            return follower.map_samples(samples, dt=dt, arrival=arrival)
+        mapper = follower.mapper
         q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
-        terms = {}
-        for side, hand in self.hands.items():
+        for hand in self.hands.values():
             hand.prepare()
-            terms[side] = hand.terms
-        leaders = [mapper.leaders[side] for side in self.hands]
-        with further_terms(leaders, [*terms.values()]):
-            step = self.follower.map_samples(samples, **times)
+        terms = [hand.terms for hand in self.hands.values()]
+        with further_terms([mapper.hands[side] for side in self.hands], terms):
+            step = follower.map_samples(samples, dt=dt, arrival=arrival)
         for side in samples:
             part = step.hands[side]
             if side in self.hands and part.status not in _STILL:
@@ -220,6 +225,13 @@ def gripping(
     if isinstance(follower, Follower):
         return GripFollower(follower, grip)
     return RobotGripFollower(follower, grip)
+
+
+def _checked_options(grip: GripOptions | None) -> GripOptions:
+    """Return how what is gripped is held, by default if it is not given."""
+    options = grip or GripOptions()
+    expect(isinstance(options, GripOptions), "grip", "a GripOptions", value=options)
+    return options
 
 
 def _checked(

@@ -28,7 +28,13 @@ from handmap_qp.hands import (
     PadPair,
 )
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
-from handmap_qp.mapping import PRESETS, HandMapper, MapStep, robot_fingers
+from handmap_qp.mapping import (
+    PRESETS,
+    HandMapper,
+    MapStep,
+    TargetSource,
+    robot_fingers,
+)
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
 from .closing_pads import ClosingPads, FingerPads
 from .object_place import ObjectPlace
@@ -113,12 +119,12 @@ class _Grip(NamedTuple):
     opening: float = 0.0  # share of the way out, from 0 to 1
 
 
-def can_grip(mapper: HandMapper) -> bool:
-    """Return whether a `HandGrip` can hold what a mapper's robot hand meets.
+def can_grip(source: TargetSource | HandMapper) -> bool:
+    """Return whether a `HandGrip` can hold what the robot hand of a source or a mapper meets.
 
     It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
     """
-    return _has_pinches(mapper) and has_grasp(mapper.robot)
+    return _has_pinches(source) and has_grasp(source.robot)
 
 
 def gripping_presets() -> Names:
@@ -136,15 +142,15 @@ def has_grasp(robot: Hand) -> bool:
     return THUMB in names and len(names) > 1
 
 
-def _has_pinches(mapper: HandMapper) -> bool:
-    return isinstance(mapper.bound, BoundTeleoperation)
+def _has_pinches(source: TargetSource | HandMapper) -> bool:
+    return isinstance(source.bound, BoundTeleoperation)
 
 
 class HandGrip:
     """Finds what thumb and finger meet by measured joints, and says how the QP holds it.
 
     Args:
-        mapper: Moves the hand; see `can_grip`.
+        source: Makes the targets of the hand; see `can_grip`.
         options: How what is gripped is held.
 
     Attributes:
@@ -154,10 +160,10 @@ class HandGrip:
         place: Where it was seen last; None before that.
     """
 
-    def __init__(self, mapper: HandMapper, options: GripOptions) -> None:
+    def __init__(self, source: TargetSource, options: GripOptions) -> None:
         self.options = options
-        self._mapper = mapper
-        self._hand = hand = mapper.robot
+        self._source = source
+        self._hand = hand = source.robot
         fingers = robot_fingers(hand)
         pads = [fingers.pads[name] for name in fingers.names]
         used = [fingers.used[name] for name in fingers.names]
@@ -199,14 +205,14 @@ class HandGrip:
         self.place: ObjectPlace | None = None
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
-        self._reference = self._mapper.reference
+        self._reference = self._source.reference
         self.terms: tuple[Task, ...] = ()
 
     def prepare(self) -> None:
-        """Let go where the mapper has another reference, or a method without pinches by now."""
-        mapper = self._mapper
-        self._has_pinches = _has_pinches(mapper)
-        if mapper.reference is not self._reference or not self._has_pinches:
+        """Let go where the source has another reference, or a method without pinches by now."""
+        source = self._source
+        self._has_pinches = _has_pinches(source)
+        if source.reference is not self._reference or not self._has_pinches:
             self.let_go()
 
     def see(self, centre: Array, deviation: float) -> None:

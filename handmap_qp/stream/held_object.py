@@ -14,7 +14,7 @@ from collections import ChainMap
 from collections.abc import Iterator
 from copy import deepcopy
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -41,17 +41,20 @@ from handmap_qp.hands import (
     read_collision_shapes,
 )
 from handmap_qp.human import TIPS, HumanSample, Recording, sample_columns
-from handmap_qp.ik import AttachedPoints, TaskRows
+from handmap_qp.ik import AttachedPoints, TaskRows, When
 from handmap_qp.mapping import (
-    HandMapper,
+    HumanPose,
     MapStep,
+    PalmMap,
     Shape,
     Stages,
+    TargetSource,
     distances_to,
     nearest,
     parse_object,
     robot_fingers,
 )
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from .follower import Follower, map_with
 from .hand_grip import GripOptions
 
@@ -134,11 +137,11 @@ def _links(hand: Hand) -> tuple[pin.GeometryModel, Array]:
     return shapes, moved_by(hand.model, joints)
 
 
-def can_touch(mapper: HandMapper) -> bool:
-    """Return whether an `ObjectFollower` can let a mapper touch objects."""
-    method: Any = mapper.method
-    is_led = hasattr(method, "pinch_weight") and method.scale == 1.0
-    return is_led and mapper.robot.has_moving_wrist
+def can_touch(source: TargetSource) -> bool:
+    """Return whether an `ObjectFollower` can let the robot hand of a source touch objects."""
+    method = source.method
+    follows_palm = isinstance(method, Teleoperation) and method.scale == 1.0
+    return follows_palm and source.robot.has_moving_wrist
 
 
 class ObjectFollower:
@@ -177,8 +180,8 @@ class ObjectFollower:
         self.shape = shape
         self.options = options or ObjectOptions()
         self.grip = grip
-        self._mapper = mapper = follower.mapper
-        self._hand = hand = mapper.robot
+        self._source = source = follower.mapper.source
+        self._hand = hand = source.robot
         is_shape = isinstance(shape, Shape)
         expect(is_shape, "shape", "an object, as of `parse_object`", value=shape)
         is_grip = isinstance(grip, GripOptions | None)
@@ -197,7 +200,7 @@ class ObjectFollower:
         self.object_pose: Array | None = None
         # Since the reference of the last sample: the person's object where it was seen last, and
         # how far it has taken hold.
-        self._reference: Any = None
+        self._reference: HumanPose | None = None
         self._seen: Array | None = None
         self._eased = 0.0
 
@@ -205,7 +208,12 @@ class ObjectFollower:
     __copy__ = deepcopy
 
     def map_sample(
-        self, sample: HumanSample, object_pose: ArrayLike | None, **times: Any
+        self,
+        sample: HumanSample,
+        object_pose: ArrayLike | None,
+        *,
+        dt: When | None = None,
+        arrival: float | None = None,
     ) -> MapStep:
         """Map one sample of a tracker; see `Follower.map_sample`.
 
@@ -217,7 +225,8 @@ class ObjectFollower:
             object_pose: Pose of the object in the tracker's world, shape (4, 4); None if it is not
                 seen. It then stays where it was, and lets go of the hand within .4 s. Arbitrary
                 where the sample is not valid.
-            **times: `dt` and `arrival` [s].
+            dt: As of `Follower.map_sample` [s].
+            arrival: Likewise.
 
         Returns:
             The step; with a grip, its command has the `effort`. Diagnostics are `object_pose`; of
@@ -233,23 +242,27 @@ class ObjectFollower:
         is_seen = sample.valid and object_pose is not None
         pose = check_pose(object_pose, "object_pose") if is_seen else self._seen
         self._check_follower()
-        mapper = self._mapper
-        self._eased *= mapper.reference is self._reference
+        source = self._source
+        self._eased *= source.reference is self._reference
+        follower = self.follower
         terms = [*self._touches(sample, pose)]
-        step = map_with(self.follower, terms, sample, **times)
-        self._seen, self._reference = pose, mapper.reference
+        step = map_with(follower, terms, sample, dt=dt, arrival=arrival)
+        self._seen = pose
+        self._reference = source.reference
         is_still = step.status in ("held", "released")
-        is_led = is_seen and not is_still and step.status != "gliding"
-        dt = mapper.motion.dt if is_led else -mapper.motion.dt
-        self._eased = min(max(self._eased + dt / _EASED, 0.0), 1.0)
-        if is_still or pose is None:
+        is_followed = is_seen and not is_still and step.status != "gliding"
+        taken = follower.mapper.motion.dt
+        change = taken if is_followed else -taken
+        self._eased = min(max(self._eased + change / _EASED, 0.0), 1.0)
+        world = self._world
+        if is_still or pose is None or world is None:
             return step
-        self.object_pose = self._world @ pose
-        return self._told(step, terms)
+        self.object_pose = world @ pose
+        return self._described(step, terms, self.object_pose)
 
-    def _told(self, step: MapStep, terms: list[_Touch]) -> MapStep:
+    def _described(self, step: MapStep, terms: list[_Touch], pose: Array) -> MapStep:
         """Return a step that says where the object is, and how it is touched."""
-        found: dict[str, Any] = {"object_pose": self.object_pose}
+        found = {"object_pose": pose}
         flags = step.asked.flags
         command = step.command
         for touch in terms:
@@ -264,25 +277,26 @@ class ObjectFollower:
             if self.grip:
                 effort = self.grip.stiffness * touch.give[self._hand.joint_columns]
                 command = structs.replace(command, effort=effort)
-        told = ChainMap(found, cast("Arrays", step.asked.diagnostics))
-        asked = structs.replace(step.asked, diagnostics=told, flags=flags)
-        stages = Stages(step.stages.pose, asked, step.ik, command)
+        diagnostics = ChainMap(found, cast("Arrays", step.asked.diagnostics))
+        targets = structs.replace(step.asked, diagnostics=diagnostics, flags=flags)
+        stages = Stages(step.stages.pose, targets, step.ik, command)
         return structs.replace(step, stages=stages)
 
     def _check_follower(self) -> None:
-        is_led = can_touch(self._mapper) and self.follower.rejoin == "glide"
+        is_usable = can_touch(self._source) and self.follower.rejoin == "glide"
         wanted = "a hand that `teleoperation` moves and whose wrist glides, at scale 1"
-        expect(is_led, "follower", wanted, value=self._hand.name)
+        expect(is_usable, "follower", wanted, value=self._hand.name)
 
     @property
-    def _world(self) -> Any:
+    def _world(self) -> Array | None:
         """The tracker's world in the robot's, (4, 4); None until there is a reference."""
-        found: Any = self._mapper.target_map
-        return found and found.world
+        target_map = self._source.target_map
+        return target_map.world if isinstance(target_map, PalmMap) else None
 
     def _touches(self, sample: HumanSample, pose: Array | None) -> Iterator[_Touch]:
         """Yield the term by which the robot touches an object as the person does."""
-        if not sample.valid or pose is None or self._eased == 0.0:
+        world = self._world
+        if not sample.valid or pose is None or world is None or self._eased == 0.0:
             return
         options = self.options
         tips = transform_points(inverse_pose(pose), sample.landmarks[self._tips])
@@ -290,7 +304,7 @@ class ObjectFollower:
         away = np.maximum(found.distances - options.touching, 0.0)
         shares = smoothstep(1.0 - away / (options.near - options.touching))
         aims = found.places + (self._radii + away)[:, None] * found.normals
-        there = self._world @ pose
+        there = world @ pose
         places = transform_points(there, aims)
         share = float(smoothstep(self._eased))
         give = np.zeros(self._placed.nv)
@@ -331,7 +345,7 @@ def follow_recording(
         InvalidInputError: As `Follower.map_sample`, or if the shape is none.
     """
     samples = sample_columns(recording, wrists)
-    if not (recording.object_shape and can_touch(follower.mapper)):
+    if not (recording.object_shape and can_touch(follower.mapper.source)):
         yield from map(follower.map_sample, samples)
         return
     shape = parse_object(recording.object_shape, "object_shape")

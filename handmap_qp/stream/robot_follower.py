@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,12 @@ from handmap_core.errors import HandmapError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.ik import SHORTEST_DT, Instant, When
-from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
+from handmap_qp.mapping import RequestStep, RobotMapper, RobotStep
 from handmap_qp.mapping.exclusive import exclusively
-from .follower import Follower
 from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
+from .hand_follower import HandFollower
+from .rejoin import RejoinKind
+from .smoothing import Smoothing
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
@@ -121,18 +123,26 @@ class RobotFollower:
 
     Args:
         mapper: Maps the samples; its human hands must be scaled to the person.
-        **options: As of `Follower`.
+        rejoin: As of `Follower`.
+        smoothing: Likewise.
 
     Attributes:
         mapper: As given.
         hands: The follower of each hand, by side.
     """
 
-    def __init__(self, mapper: RobotMapper, **options: Any) -> None:
+    def __init__(
+        self,
+        mapper: RobotMapper,
+        *,
+        rejoin: RejoinKind = "glide",
+        smoothing: Smoothing | None = Smoothing(),
+    ) -> None:
         self.mapper = mapper
         self.work = mapper.work
         self.hands = {
-            side: Follower(leader, **options) for side, leader in mapper.leaders.items()
+            side: HandFollower(hand, RequestStep, rejoin=rejoin, smoothing=smoothing)
+            for side, hand in mapper.hands.items()
         }
         # Instants of the robot's commands that had a sample of each hand.
         self._seen = dict.fromkeys(self.hands, -math.inf)
@@ -151,8 +161,8 @@ class RobotFollower:
     ) -> RobotStep:
         """Map one sample of each hand that has one; errors as of `Follower`.
 
-        A hand without a sample goes on to what it asked for last. The robot takes the time since
-        its last command, whichever hand led to that.
+        A hand without a sample goes on to its last request. The robot takes the time since its last
+        command, whichever hand that was for.
 
         Args:
             samples: The samples by side.
@@ -170,7 +180,7 @@ class RobotFollower:
             "a HumanSample of each hand by side",
             value=samples,
         )
-        followed: dict[Side, MapStep] = {}
+        followed: dict[Side, RequestStep] = {}
         mapper = self.mapper
         clock = self._clock
         when: When | None = dt
@@ -183,10 +193,10 @@ class RobotFollower:
         if dt is None and stamps:
             clock, when = clock.advance(stamps, mapper.point_ik.gate.time, arrival)
 
-        def follow(side: Side) -> MapStep:
-            own = None if dt is None else mapper.time_since_sample(side, dt)
+        def follow(side: Side) -> RequestStep:
+            since = None if dt is None else mapper.time_since_sample(side, dt)
             followed[side] = self.hands[side].map_sample(
-                samples[side], dt=own, arrival=arrival
+                samples[side], dt=since, arrival=arrival
             )
             return followed[side]
 

@@ -30,7 +30,7 @@ from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import JobOptions
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.measurement import measure_person

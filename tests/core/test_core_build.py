@@ -196,7 +196,7 @@ def run_in(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
 IMPORTS = """
 from handmap_qp.errors import MissingCoreError
 try:
-    from handmap_qp.mapping.mapper import HandMapper
+    from handmap_qp.mapping.hand_mapper import HandMapper
 except MissingCoreError as error:
     assert isinstance(error, ImportError)
     assert error.problem in str(error) and error.command in str(error)

@@ -358,7 +358,7 @@ def sample_calls(
     """Return calls of what maps samples: a follower of one map, and another map."""
     from handmap_qp import load_hand
     from handmap_qp.ik import core_tree
-    from handmap_qp.mapping.method import step_views
+    from handmap_qp.mapping.step import step_views
     from handmap_qp.stream.step_table import StepTable
 
     mapper = follower.mapper
@@ -371,30 +371,30 @@ def sample_calls(
     judged = sample.time, sample.landmarks, None, True, 1.0
     samples = core.Samples(columns.time, columns.landmarks, columns.valid)
     table = StepTable(mapper.robot, len(columns.time))
-    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    views = step_views(own_map.targets_of, mapper.robot, mapper.point_ik.gate.links)
     palm = encode(teleoperation.palm_model())
     joints = load_hand("human")
     return {
         "HumanPose": (core.HumanPose, (points, wrist)),
         "StepViews": (core.StepViews, (list, list, list, list)),
-        "SampleMapper": (
-            core.SampleMapper,
+        "HandMapper": (
+            core.HandMapper,
             (mapper.point_ik.core, own_map.make_core(), views),
         ),
-        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
-        "Asker": (
-            core.Asker,
+        "HandMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "TargetSource": (
+            core.TargetSource,
             (mapper.point_ik.core, own_map.make_core(), views, own_map),
         ),
-        "SampleMapper.map": (
+        "HandMapper.map": (
             in_core.map,
             (reader, sample.landmarks, None, dt),
         ),
-        "SampleMapper.map_sample": (
+        "HandMapper.map_sample": (
             in_core.map_sample,
             (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
         ),
-        "SampleMapper.run": (
+        "HandMapper.run": (
             in_core.run,
             (
                 guard.core,
@@ -434,12 +434,17 @@ def robot_calls(core: Any, right: np.ndarray) -> dict[str, Call]:
     views = core.StepViews(list, list, list, list)
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
-    asks = [leader.asked for leader in mapper.leaders.values()]
+    requests = [hand.request for hand in mapper.hands.values()]
     solver = mapper.point_ik.core
+    in_core = mapper.core
+    assert in_core is not None
     worlds = np.tile(np.eye(4), (2, 1, 1))
     return {
-        "RobotMover": (core.RobotMover, (solver, encode(mapper.model()), views)),
-        "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
+        "RobotMapper": (core.RobotMapper, (solver, encode(mapper.model()), views)),
+        "RobotMapper.move": (
+            in_core.move,
+            (requests, [0.1, 0.1], worlds, 1.0 / 60.0),
+        ),
     }
 
 

@@ -123,7 +123,7 @@ def test_a_map_of_another_hand_moves_none() -> None:
     mapper = HandMapper(HUMAN, load_hand("three_finger"), "object")
     mapper.map(REST)
     with pytest.raises(ValueError, match="the map is of another robot"):
-        core.SampleMapper(mapper.point_ik.core, IMPOSED.make_core(), VIEWS)
+        core.HandMapper(mapper.point_ik.core, IMPOSED.make_core(), VIEWS)
     distances = structs.replace(
         BOUND.model.distances, joints=BOUND.model.distances.joints + 99
     )
@@ -131,7 +131,7 @@ def test_a_map_of_another_hand_moves_none() -> None:
     away = core.TeleoperationMap(encode(model), encode(TELEOPERATED.palm_model()))
     solver = HandMapper(HUMAN, ALLEGRO, "teleoperation").point_ik.core
     with pytest.raises(ValueError, match="points of another hand"):
-        core.SampleMapper(solver, away, VIEWS)
+        core.HandMapper(solver, away, VIEWS)
 
 
 def test_a_model_may_have_arrays_without_rows() -> None:
@@ -184,7 +184,7 @@ def test_a_model_of_a_robot_is_checked() -> None:
     mapper = RobotMapper(load_robot("g1"))
     solver = mapper.point_ik.core
     model = mapper.model()
-    core.RobotMover(solver, encode(model), VIEWS)
+    core.RobotMapper(solver, encode(model), VIEWS)
     first, other = model.hands
     for hands, problem in (
         ((), "expected a hand at least"),
@@ -194,4 +194,4 @@ def test_a_model_of_a_robot_is_checked() -> None:
         ((structs.replace(first, pinching=first.pinching + 9999), other), "pinching"),
     ):
         with pytest.raises(ValueError, match=rf"RobotModel\.hands.*{problem}"):
-            core.RobotMover(solver, encode(structs.replace(model, hands=hands)), VIEWS)
+            core.RobotMapper(solver, encode(structs.replace(model, hands=hands)), VIEWS)

@@ -19,7 +19,7 @@ from service_tools import address_of, serving
 
 import handmap_qp
 from handmap_qp import cli, read_recording
-from handmap_qp.mapping.mapper import Mover
+from handmap_qp.mapping.mapper import Mapper
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -179,7 +179,7 @@ def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
     assert {*handmap_qp.__all__} - {"__version__"} <= described
     # Those that a base class has belong to the reference, too.
-    members = vars(Mover) | vars(handmap_qp.HandMapper)
+    members = vars(Mapper) | vars(handmap_qp.HandMapper)
     for name, member in members.items():
         if not name.startswith("_") and callable(member):
             assert f'id="handmap_qp.HandMapper.{name}"' in html, name

@@ -30,7 +30,8 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.sample import human_name
 from handmap_qp.ik.motion import Motion
 from handmap_qp.mapping.presets import get_preset
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.se3 import nearest_rotation
 
 _STEPS_PER_RUN = 1000
@@ -102,8 +103,8 @@ class RobotRun:
         elif kind > 94:
             mapper.clutch()
         elif kind == 1:
-            for leader in mapper.leaders.values():
-                leader.clutch()
+            for hand in mapper.hands.values():
+                hand.clutch()
         elif kind == 3:
             limit = hostile.LIMITS[self._rng.integers(len(hostile.LIMITS))]
             ik = get_preset("teleoperation").ik.replaced(max_acceleration=limit)

@@ -54,9 +54,9 @@ void compute_targets(const TargetMap& map) {
   std::vector<Vec3> points(map.human_points);
   for (size_t k = 0; k < points.size(); ++k) points[k] = {0.01 * static_cast<double>(k), 0.05, 0.0};
   const Pose wrist;
-  Asked asked;
-  map.targets(points, &wrist, asked);
-  map.residual(asked);
+  Targets targets;
+  map.targets(points, &wrist, targets);
+  map.residual(targets);
 }
 
 // Models are as large as their numbers say, and a person has 21 landmarks.

@@ -19,8 +19,8 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.mapping.method import Stages, StepSummary
 from handmap_qp.mapping.presets import get_preset
+from handmap_qp.mapping.step import Stages, StepSummary
 
 HUMAN = load_hand("human", points="landmarks")
 ROBOT = load_hand("three_finger")

@@ -28,7 +28,8 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.stream.follower import Follower, RejoinKind
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.rejoin import RejoinKind
 
 SAMPLES = tuple(sample_columns(read_recording("demo", "right")))[60:115]
 FIRST, REST = SAMPLES[:30], SAMPLES[30:]
@@ -59,7 +60,9 @@ def check_copy(mapper: Follower, way: Callable[[Any], Any]) -> None:
     np.testing.assert_allclose(ahead, expected, rtol=0.0, atol=TOLERANCE)
     np.testing.assert_allclose(follow(other, REST), expected, rtol=0.0, atol=TOLERANCE)
     # A robot that does not move would pass the rest of this test.
-    assert np.ptp(expected, axis=0).max() > 0.05 or mapper.mapper._is_released
+    assert (
+        np.ptp(expected, axis=0).max() > 0.05 or mapper.mapper.moving_robot.is_released
+    )
 
 
 # All ways read and write the same state, so that one of them shows what is part of it.

@@ -35,8 +35,8 @@ def test_options_beside_a_preset_change_its_method() -> None:
 
 def test_a_robot_takes_a_preset_for_both_hands() -> None:
     mapper = RobotMapper(PAIR, preset="teleoperation")
-    for leader in mapper.leaders.values():
-        assert leader.method == PRESETS["teleoperation"].method
+    for source in mapper.sources.values():
+        assert source.method == PRESETS["teleoperation"].method
 
 
 def test_a_mapper_changes_to_a_preset() -> None:

@@ -23,9 +23,10 @@ from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
-from handmap_qp.stream.follower import SMOOTH_IK
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.robot_follower import RobotFollower
+from handmap_qp.stream.smoothing import SMOOTH_IK
 
 SIDES: tuple[Side, ...] = ("left", "right")
 HUMANS = {side: load_hand(human_name(side), points="landmarks") for side in SIDES}
@@ -68,16 +69,17 @@ def palms(step: RobotStep, robot: Hand) -> np.ndarray:
 
 def persons(mapper: RobotMapper) -> list[Any]:
     """Palms of the person in the robot's world, shape (4, 4) each."""
-    asked = [leader.asked for leader in mapper.leaders.values()]
-    return [each.map.person_at(each.pose) for each in asked]
+    requests: list[Any] = [hand.request for hand in mapper.hands.values()]
+    return [request.map.person_at(request.pose) for request in requests]
 
 
 def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
     """Distance of the points of both palms that correspond to the person's knuckles [m]."""
     ends = []
-    for side, leader in mapper.leaders.items():
-        palm = step.hands[side].command.wrist @ leader.robot.wrist_to_palm
-        anchor = leader.asked.map.robot_anchor
+    for side, hand in mapper.hands.items():
+        palm = step.hands[side].command.wrist @ hand.robot.wrist_to_palm
+        target_map: Any = hand.request.map
+        anchor = target_map.robot_anchor
         ends.append(palm[:3, :3] @ anchor + palm[:3, 3])
     return float(np.linalg.norm(ends[1] - ends[0]))
 
@@ -212,17 +214,17 @@ def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
         step = at_once.map_step(given, wrists, dt=DT)
         other = in_turn.step(
             SIDES,
-            lambda side, q=q, wrists=wrists: in_turn.leaders[side].map_step(
-                q[side], wrists[side], dt=DT
+            lambda side, q=q, wrists=wrists: in_turn.hands[side].read(
+                in_turn.sources[side].joints, q[side], wrists[side], DT
             ),
         )
         np.testing.assert_array_equal(step.command.q, other.command.q)
-        for side, leader in at_once.leaders.items():
-            part, own = step.hands[side], in_turn.leaders[side]
+        for side, hand in at_once.hands.items():
+            part = step.hands[side]
             np.testing.assert_array_equal(part.ik.points, other.hands[side].ik.points)
-            np.testing.assert_array_equal(leader.asked.pose.wrist, wrists[side])
-            assert leader.since == own.since
-    given = attrgetter("_joints"), q, wrists, DT
+            np.testing.assert_array_equal(hand.request.pose.wrist, wrists[side])
+            assert hand.since == in_turn.hands[side].since
+    given = attrgetter("joints"), q, wrists, DT
     assert isinstance(at_once._mapped_in_core(*given), RobotStep)
     # Python says what is wrong with the others.
     others: list[Any] = [{"left": q["left"]}, q | {"left": q["left"][1:]}]
@@ -278,22 +280,23 @@ def test_palms_turn_to_the_persons_soon_after_a_reference(
     first = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
     for _ in range(120):
         step = mapper.map_step(*motion(0, apart=1.0), dt=DT)
-    for leader, person, own, before in zip(
-        mapper.leaders.values(), persons(mapper), palms(step, pair), first, strict=True
+    for hand, person, own, before in zip(
+        mapper.hands.values(), persons(mapper), palms(step, pair), first, strict=True
     ):
         wanted = person if turns_in < 1.0 else before
         np.testing.assert_allclose(own[:3, :3], wanted[:3, :3], atol=1e-2)
         # They turn about the point that follows the person's.
-        anchor = leader.asked.map.robot_anchor
+        target_map: Any = hand.request.map
+        anchor = target_map.robot_anchor
         ends = [palm[:3, :3] @ anchor + palm[:3, 3] for palm in (own, before)]
         np.testing.assert_allclose(*ends, atol=2e-3)
         assert np.abs(person[:3, :3] - before[:3, :3]).max() > 0.5
         if turns_in < 1.0:
-            assert leader.since > 1.0
+            assert hand.since > 1.0
     mapper.clutch()
     again = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
     np.testing.assert_allclose(again, palms(step, pair), atol=1e-2)
-    assert all(leader.since == DT for leader in mapper.leaders.values())
+    assert all(hand.since == DT for hand in mapper.hands.values())
 
 
 def test_crossing_hands_do_not_overlap(g1: Hand) -> None:
@@ -414,15 +417,15 @@ def test_time_since_a_reference_begins_there(g1: Hand) -> None:
     follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
     for i in range(150):
         follower.map_samples(samples_of(i, "right"))
-    leaders = follower.mapper.leaders
-    assert leaders["left"].since > 2.0
-    assert leaders["right"].since == 0.0
+    hands = follower.mapper.hands
+    assert hands["left"].since > 2.0
+    assert hands["right"].since == 0.0
     base = np.eye(4)
     base[0, 3] = 0.5
     follower.mapper.base_pose = base
     follower.map_samples(samples_of(150))
-    assert 0.0 < leaders["right"].since < 0.1
-    np.testing.assert_array_equal(leaders["right"].base, base)
+    assert 0.0 < hands["right"].since < 0.1
+    np.testing.assert_array_equal(hands["right"].base, base)
 
 
 def test_a_step_takes_the_time_of_the_samples_that_it_has(g1: Hand) -> None:
@@ -488,7 +491,7 @@ def test_options_change_between_samples(g1: Hand) -> None:
     after = mapper.map_step(*motion(30), dt=DT)
     limits = mapper.robot.velocity_limits * DT + 1e-9
     assert (np.abs(after.command.q - before.command.q) <= limits).all()
-    (task,) = mapper.leaders["left"].asked.targets.tasks
+    (task,) = mapper.hands["left"].request.targets.tasks
     assert isinstance(task, PointDistances)
     assert task.weights[-1] == 0.0
     with pytest.raises(InvalidOptionsError):

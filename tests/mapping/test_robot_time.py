@@ -414,9 +414,9 @@ def test_each_hand_counts_the_time_since_its_own_sample(g1: Hand) -> None:
     for time, sides in in_turns((60.0, 20.0), 0.5):
         landmarks = {side: landmarks_at(side, time) for side in sides}
         mapper.map_landmarks(landmarks, time=time)
-    left, right = (mapper.leaders[side] for side in SIDES)
-    assert left.asked.dt == pytest.approx(1.0 / 60.0, rel=0.2)
-    assert right.asked.dt == pytest.approx(1.0 / 20.0, rel=0.2)
+    left, right = (mapper.hands[side] for side in SIDES)
+    assert left.request.dt == pytest.approx(1.0 / 60.0, rel=0.2)
+    assert right.request.dt == pytest.approx(1.0 / 20.0, rel=0.2)
     # Palms turn as soon at any rate.
     assert left.since == pytest.approx(right.since, abs=0.06)
 
@@ -541,8 +541,6 @@ def test_an_instant_that_cannot_be_used_changes_nothing(g1: Hand, times: dict) -
     single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
     with pytest.raises(InvalidInputError):
         single.map_landmarks(landmarks["left"], **times)
-    with pytest.raises(InvalidInputError, match="RobotMapper"):
-        mapper.leaders["left"].map_landmarks(landmarks["left"], time=101.0)
 
 
 WRONG = {

@@ -16,8 +16,9 @@ from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED, Follower
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.stream.rejoin import PALM_SPEED, TURN_SPEED
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

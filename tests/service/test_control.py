@@ -129,7 +129,7 @@ class World:
             hands: Any = session._hands
             mapper = hands.mapper
             shared += hands.robot, hands.follower, hands.choice
-            shared += mapper.human, mapper.robot, mapper.bound, mapper._joints
+            shared += mapper.human, mapper.robot, mapper.bound, mapper.source.joints
             shared += mapper.method, session._commanded._placed, session.request
         return deepcopy(self, {id(thing): thing for thing in shared})
 

@@ -19,8 +19,8 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
-from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.closing_pads import ClosingPads
 from handmap_qp.stream.follower import Follower

@@ -22,7 +22,8 @@ from handmap_qp import load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.grip import RobotGripFollower
 from handmap_qp.stream.hand_grip import GripOptions
 from handmap_qp.stream.robot_follower import RobotFollower
@@ -96,7 +97,7 @@ def test_each_hand_of_a_robot_grips_for_itself() -> None:
     q = np.array([step.command.q for step in steps])
     most = robot.velocity_limits + 1e-9
     assert (np.abs(np.diff(q, axis=0)) * 60.0 <= most).all()
-    assert all(leader.tasks == () for leader in grip.follower.mapper.leaders.values())
+    assert all(not source.tasks for source in grip.follower.mapper.sources.values())
 
 
 @pytest.mark.slow

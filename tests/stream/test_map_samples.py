@@ -17,7 +17,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.follower import Rejoin
+from handmap_qp.stream.rejoin import Rejoin
 from handmap_qp.stream.step_table import StepTable
 
 HUMAN = load_hand(
@@ -95,8 +95,9 @@ def test_what_the_core_does_not_do_is_done_all_the_same(choice: dict) -> None:
 class PlainFollower(Follower):
     """Judges, smooths and maps each sample by calls of their own."""
 
-    def _cores(self) -> tuple[Any, ...]:
-        return ()
+    @property
+    def _is_plain(self) -> bool:
+        return False
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-3, 5e-3])

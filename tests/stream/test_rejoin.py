@@ -22,9 +22,10 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
-from handmap_qp.mapping.method import HumanPose, MapStep
+from handmap_qp.mapping.method import HumanPose
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine
-from handmap_qp.stream.follower import (
+from handmap_qp.stream.rejoin import (
     FINGER_SPEED,
     PALM_SPEED,
     TURN_SPEED,

@@ -23,7 +23,7 @@ from handmap_qp import (
 )
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.stream.follower import Smoother
+from handmap_qp.stream.smoothing import Smoother
 
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")

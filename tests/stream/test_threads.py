@@ -217,6 +217,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
     mapper.map_landmarks(SAMPLE.landmarks)
     ik = mapper.point_ik
     in_core = mapper.core
+    assert in_core is not None
     solver = ik.core
     reader: Any = mapper.landmarks.core
     reference: Any = mapper.reference

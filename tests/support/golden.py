@@ -44,8 +44,9 @@ from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.stream.follower import Follower, RejoinKind
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.rejoin import RejoinKind
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES
 from handmap_qp.trackers.formats import read_recording
 

@@ -14,7 +14,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.hand_pair import robot_fingers
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower

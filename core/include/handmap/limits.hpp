@@ -69,7 +69,7 @@ struct When {
   double time = 0.0;           // the instant, or the time since the last command [s]
   double longest = kInfinity;  // longest time that the command may take [s]
 
-  // See mapper.own_time.
+  // See command_time.own_time.
   double own_time() const { return is_instant ? longest : time; }
 
   static When after(double dt) { return {false, dt, kInfinity}; }

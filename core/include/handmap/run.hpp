@@ -87,8 +87,8 @@ struct Run {
     const Result& result = step.result;
     Vector numbers = step.q;
     append(result.wrists[0], numbers);
-    append(step.asked.wrist, numbers);
-    append(step.asked.points, numbers);
+    append(step.targets.wrist, numbers);
+    append(step.targets.points, numbers);
     append(result.points, numbers);
     for (const int column : ik.tree.joint_columns) numbers.push_back(result.active[column] != 0);
     to = std::copy(numbers.begin(), numbers.end(), to);

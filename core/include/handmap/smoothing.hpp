@@ -29,7 +29,7 @@ constexpr double kFarthestLeftOut = 3.0;
 // A tracking index below this counts as this: samples count, however little.
 constexpr double kLeastIndex = 1e-9;
 
-// See stream.follower.Smoothing.
+// See stream.smoothing.Smoothing.
 struct Smoothing {
   double acceleration;  // that a point at rest may have [m/s^2]
   double speed_gain;    // rise of the acceleration with the speed of a point [1/s]

@@ -1,4 +1,4 @@
-// One sample, from what was measured on the human to the robot's command: see mapping/mapper.py.
+// One sample, from what was measured on the human to the robot's command: see mapping/hand_mapper.py.
 #pragma once
 
 #include <optional>
@@ -44,7 +44,7 @@ struct HumanPose {
   }
 };
 
-// See mapper.LandmarkReader.
+// See readers.LandmarkReader.
 class LandmarkReader {
  public:
   explicit LandmarkReader(LandmarkReaderModel model) : model_(std::move(model)) {}
@@ -75,7 +75,7 @@ class LandmarkReader {
   }
 };
 
-// See mapper.JointReader.
+// See readers.JointReader.
 class JointReader {
  public:
   explicit JointReader(Tree given) : tree_(std::move(given)), at_(tree_), vector_(tree_.rest) {
@@ -107,7 +107,7 @@ class JointReader {
 
 // All results of a sample.
 struct Step {
-  Asked asked;
+  Targets targets;
   Result result;
   Motion motion;
   Vector q;  // in the user's order
@@ -122,30 +122,30 @@ inline void finish(const Ik& ik, Step& step) {
 // The targets of a map, and the motion towards them; `goal` is a workspace.
 inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const When& when,
                    double speed, Goal& goal, Step& step) {
-  Asked& asked = step.asked;
-  map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
-  if (asked.points.size() != ik.tree.points.size() ||
-      (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->size())))
+  Targets& targets = step.targets;
+  map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, targets);
+  if (targets.points.size() != ik.tree.points.size() ||
+      (!targets.margins.empty() && (!ik.pairs || targets.margins.size() != ik.pairs->size())))
     throw std::invalid_argument("the map is of another hand");
-  goal.points = asked.points;
-  goal.wrists = {asked.wrist};
+  goal.points = targets.points;
+  goal.wrists = {targets.wrist};
   goal.postures = ik.postures(map.rest, ik.motion.next(when).granted);
-  if (asked.regularisation)
-    goal.regularise(*asked.regularisation);
+  if (targets.regularisation)
+    goal.regularise(*targets.regularisation);
   else
     goal.damping_shares.clear();
   goal.distances.clear();
-  if (asked.distances) goal.distances.push_back({asked.distances, asked.aims, asked.weights});
-  seek(ik, goal, when, asked.margins, speed, step.result);
-  asked.points = step.result.targets;
+  if (targets.distances) goal.distances.push_back({targets.distances, targets.aims, targets.weights});
+  seek(ik, goal, when, targets.margins, speed, step.result);
+  targets.points = step.result.targets;
   finish(ik, step);
 }
 
 // Take the stop that was admitted last, for one sample.
 inline void hold(Ik& ik, const When& when, Step& step) {
   ik.hold(when, step.result);
-  step.asked.points = step.result.points;
-  step.asked.wrist = step.result.wrists[0];
+  step.targets.points = step.result.points;
+  step.targets.wrist = step.result.wrists[0];
   finish(ik, step);
 }
 

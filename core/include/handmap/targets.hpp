@@ -173,8 +173,8 @@ struct ArrayShape {
   size_t rows, columns = 0;
 };
 
-// What a map asks for, and the numbers that its diagnostics are made of.
-struct Asked {
+// The targets of one hand for one sample, and the numbers that its diagnostics are made of.
+struct Targets {
   std::vector<Vec3> points;
   Pose wrist;
   const DistanceTask* distances = nullptr;
@@ -221,7 +221,7 @@ class TargetMap {
       : estimator(model), human_points(human_points), needs_wrist(needs_wrist),
         rest(std::move(rest)) {}
   virtual ~TargetMap() = default;
-  virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
+  virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Targets& targets) const = 0;
   // How the palm follows; null for methods that move it otherwise.
   virtual const PalmMap* palm() const { return nullptr; }
   // The distances that are asked for; null for none.
@@ -236,8 +236,8 @@ class TargetMap {
 
   // RMS distance of the human points from where T takes them [m]. The diagnostics of every map begin
   // with T's linear part, the centroid after the motion and the points after it.
-  double residual(const Asked& asked) const {
-    const double* from = asked.diagnostics.data();
+  double residual(const Targets& targets) const {
+    const double* from = targets.diagnostics.data();
     Mat3 linear;
     std::copy(from, from + 9, linear.m);
     const Vec3 centroid{from[9], from[10], from[11]};
@@ -268,7 +268,7 @@ class TeleoperationMap : public TargetMap {
     return {{3, 3}, {3}, {of.shape_points.size(), 3}, {4, 4}, {pinches}, {pinches}, {fingers}};
   }
 
-  void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
+  void targets(const std::vector<Vec3>& points, const Pose* wrist, Targets& targets) const override {
     const TeleoperationModel& of = model_;
     const Pose human = *wrist * palm_.human_wrist_to_palm, to_palm = inverse(human);
     std::vector<Vec3> now(points.size()), shape(of.shape_points.size());
@@ -279,28 +279,28 @@ class TeleoperationMap : public TargetMap {
     const size_t rows = of.from_points.size(), fingers = of.human_reach.size();
     const size_t pinches = rows - fingers;
     Vector extensions(fingers), gaps(pinches), pinching(pinches);
-    asked.distances = &distances_;
-    asked.regularisation = &of.regularisation;
-    asked.aims.resize(rows);
-    asked.weights.resize(rows);
+    targets.distances = &distances_;
+    targets.regularisation = &of.regularisation;
+    targets.aims.resize(rows);
+    targets.weights.resize(rows);
     for (size_t k = 0; k < rows; ++k) {
       const double distance = norm(now[of.to_points[k]] - now[of.from_points[k]]);
-      asked.aims[k] = std::min(std::max(of.aim_slopes[k] * distance + of.aim_offsets[k], of.least_aims[k]),
+      targets.aims[k] = std::min(std::max(of.aim_slopes[k] * distance + of.aim_offsets[k], of.least_aims[k]),
                                of.largest_aims[k]);
       if (k < fingers) {
         extensions[k] = distance / of.human_reach[k];
-        asked.weights[k] = of.extension_weights[k];
+        targets.weights[k] = of.extension_weights[k];
       } else {
         const size_t p = k - fingers;
         gaps[p] = distance;
         pinching[p] = smoothstep((of.pinch_from - distance) / of.pinch_over);
-        asked.weights[k] = of.pinch_weight * pinching[p];
+        targets.weights[k] = of.pinch_weight * pinching[p];
       }
     }
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
     for (const double share : pinching) most = std::max(most, share);
-    asked.points.resize(of.partners.size());
+    targets.points.resize(of.partners.size());
     for (size_t j = 0; j < of.partners.size(); ++j) {
       Vec3 moved = estimate.linear * of.offsets[j] + of.robot_centre +
                    of.ratio * (shift - estimator.centroid) + of.gain * (now[of.partners[j]] - shift);
@@ -310,16 +310,16 @@ class TeleoperationMap : public TargetMap {
       const Vec3 led = of.bases[j] + of.ratios[j] * (now[of.partners[j]] - now[of.starts[j]]) +
                        of.carried[j] * now[of.starts[j]];
       moved += of.directions[j] * (1.0 - (1.0 - of.likeness) * closing) * (led - moved);
-      asked.points[j] = palm * moved;
+      targets.points[j] = palm * moved;
     }
-    asked.wrist = palm * palm_.robot_palm_to_wrist;
-    asked.margins = of.base_margins;
+    targets.wrist = palm * palm_.robot_palm_to_wrist;
+    targets.margins = of.base_margins;
     for (size_t i = 0; i < of.pinch_pairs.size(); ++i)
-      asked.margins[of.pinch_pairs[i]] =
+      targets.margins[of.pinch_pairs[i]] =
           of.pinch_margins[i] +
           std::min(std::max(of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from), 0.0),
                    of.contact_most);
-    Vector& to_python = asked.diagnostics;
+    Vector& to_python = targets.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);
     append(estimate.centroid_after, to_python);
@@ -353,7 +353,7 @@ class HomogeneousMap : public TargetMap {
     return {{3, 3}, {3}, {human_points, 3}, {3, 3}, {3, 3}, {3}, {3}, {3}};
   }
 
-  void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
+  void targets(const std::vector<Vec3>& points, const Pose* wrist, Targets& targets) const override {
     const Mat3& Q = model_.alignment;
     const Vec3& pivot = model_.pivot;
     const double gain = model_.deformation_gain;
@@ -367,8 +367,8 @@ class HomogeneousMap : public TargetMap {
     const Mat3 R = factors.U * transposed(factors.V);
     Vec3 stretches{factors.s[0], factors.s[1], factors.s[2]}, wanted = stretches;
     for (int i = 0; i < 3; ++i) wanted[i] = std::min(std::max(wanted[i], model_.stretch_min), model_.stretch_max);
-    asked.is_clamped = wanted.x != stretches.x || wanted.y != stretches.y || wanted.z != stretches.z;
-    if (asked.is_clamped || gain != 1.0) {
+    targets.is_clamped = wanted.x != stretches.x || wanted.y != stretches.y || wanted.z != stretches.z;
+    if (targets.is_clamped || gain != 1.0) {
       Mat3 stretch = 0.0 * Mat3{};
       for (int i = 0; i < 3; ++i) {
         const Vec3 axis = factors.U.column(i);
@@ -387,23 +387,23 @@ class HomogeneousMap : public TargetMap {
     }
     const Mat3 imposed = Q * linear * transposed(Q);
     const Vec3 centre = placed(image);
-    asked.points.resize(model_.robot_offsets.size());
+    targets.points.resize(model_.robot_offsets.size());
     for (size_t j = 0; j < model_.robot_offsets.size(); ++j)
-      asked.points[j] = imposed * model_.robot_offsets[j] + centre;
+      targets.points[j] = imposed * model_.robot_offsets[j] + centre;
     if (!model_.share.data.empty()) {
       // The residual refers to the imposed motion, so it makes up for clamping and gain.
       const size_t count = points.size();
       std::vector<Vec3> residual(count);
       for (size_t k = 0; k < count; ++k)
         residual[k] = points[k] - (linear * model_.human_offsets[k] + image);
-      for (size_t j = 0; j < asked.points.size(); ++j) {
+      for (size_t j = 0; j < targets.points.size(); ++j) {
         Vec3 sum;
         for (size_t k = 0; k < count; ++k) sum += model_.share.row(j)[k] * residual[k];
-        asked.points[j] += Q * sum;
+        targets.points[j] += Q * sum;
       }
     }
-    asked.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * model_.robot_wrist;
-    Vector& to_python = asked.diagnostics;
+    targets.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * model_.robot_wrist;
+    Vector& to_python = targets.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);
     append(estimate.centroid_after, to_python);

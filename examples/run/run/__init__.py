@@ -26,8 +26,9 @@ from handmap_core.errors import (
     InvalidOptionsError,
 )
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.follower import Follower, Smoothing
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.hand_grip import GripOptions
+from handmap_qp.stream.smoothing import Smoothing
 from .saved import load, load_robot
 
 __all__ = [

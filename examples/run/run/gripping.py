@@ -2,43 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from copy import deepcopy
 
 from numpy.typing import ArrayLike
 
-from handmap_core.errors import expect
+from handmap_qp.errors import expect
+from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.motion import When
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.hand_mapper import HandMapper
+from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import GripOptions, can_grip
 from handmap_qp.stream.object_place import PLACE_DEVIATION
+from handmap_qp.stream.step_table import StepTable
 
 
-class GrippingFollower(Follower):
-    """A `Follower` that holds what the hand meets; see `GripFollower`.
+class GrippingFollower:
+    """Follows as a `Follower`, and holds what the hand meets as a `GripFollower`.
 
     Args:
-        mapper: Maps the samples.
+        follower: Follows the samples.
         grip: How what is met is held; None to hold nothing.
-        **options: As of `Follower`.
 
     Attributes:
-        gripping: Holds it; None for a hand that cannot grip, or shall not.
+        follower: As given.
+        gripping: Holds what the hand meets; None if it cannot grip, or must not.
 
     Raises:
         InvalidInputError: If `grip` is something else.
     """
 
-    def __init__(
-        self, mapper: HandMapper, grip: GripOptions | None, **options: Any
-    ) -> None:
-        super().__init__(mapper, **options)
+    def __init__(self, follower: Follower, grip: GripOptions | None) -> None:
+        self.follower = follower
         self.gripping = None
-        if is_asked(grip) and can_grip(mapper):
-            self.gripping = GripFollower(_Plain(self), grip)
+        if is_asked(grip) and can_grip(follower.mapper):
+            self.gripping = GripFollower(follower, grip)
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    @property
+    def mapper(self) -> HandMapper:
+        """Maps the samples."""
+        return self.follower.mapper
 
     def map_sample(
         self,
@@ -62,7 +71,7 @@ class GrippingFollower(Follower):
             object_deviation: Standard deviation of its error, as there.
         """
         if self.gripping is None:
-            return super().map_sample(sample, dt=dt, arrival=arrival)
+            return self.follower.map_sample(sample, dt=dt, arrival=arrival)
         return self.gripping.map_sample(
             sample,
             measured_q,
@@ -72,17 +81,11 @@ class GrippingFollower(Follower):
             arrival=arrival,
         )
 
-
-class _Plain(Follower):
-    """What a grip leads: a follower by the method of its base class."""
-
-    def __init__(self, follower: GrippingFollower) -> None:
-        self.mapper = follower.mapper
-        self.work = follower.work
-        self._follower = follower
-
-    def map_sample(self, sample: HumanSample, **times: Any) -> MapStep:
-        return Follower.map_sample(self._follower, sample, **times)
+    def map_samples(
+        self, samples: Recording, progress: Callable[[int], None] | None = None
+    ) -> StepTable:
+        """Map the samples of a recording without a grip; see `Follower.map_samples`."""
+        return self.follower.map_samples(samples, progress)
 
 
 def is_asked(grip: GripOptions | None) -> bool:

@@ -3,42 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from copy import deepcopy
 
 from numpy.typing import ArrayLike
 
 from handmap_qp.hands import Side
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.motion import When
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.grip import RobotGripFollower
 from handmap_qp.stream.hand_grip import GripOptions, can_grip
 from handmap_qp.stream.robot_follower import RobotFollower
 from .gripping import is_asked
 
 
-class GrippingRobotFollower(RobotFollower):
-    """A `RobotFollower` that holds what each hand meets; see `RobotGripFollower`.
+class GrippingRobotFollower:
+    """Follows as a `RobotFollower`, and holds what each hand meets as a `RobotGripFollower`.
 
     Args:
-        mapper: Maps the samples.
+        follower: Follows the samples.
         grip: How what is met is held; None to hold nothing.
-        **options: As of `Follower`.
 
     Attributes:
-        gripping: Holds it; None for a robot whose hands cannot grip, or shall not.
+        follower: As given.
+        gripping: Holds what the hands meet; None if none of them can grip, or must not.
 
     Raises:
         InvalidInputError: If `grip` is something else.
     """
 
-    def __init__(
-        self, mapper: RobotMapper, grip: GripOptions | None, **options: Any
-    ) -> None:
-        super().__init__(mapper, **options)
+    def __init__(self, follower: RobotFollower, grip: GripOptions | None) -> None:
+        self.follower = follower
         self.gripping = None
-        if is_asked(grip) and any(map(can_grip, mapper.leaders.values())):
-            self.gripping = RobotGripFollower(_PlainRobot(self), grip)
+        if is_asked(grip) and any(map(can_grip, follower.mapper.sources.values())):
+            self.gripping = RobotGripFollower(follower, grip)
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    @property
+    def mapper(self) -> RobotMapper:
+        """Maps the samples."""
+        return self.follower.mapper
 
     def map_samples(
         self,
@@ -58,19 +65,5 @@ class GrippingRobotFollower(RobotFollower):
                 robot whose hands cannot grip ignores them.
         """
         if self.gripping is None:
-            return super().map_samples(samples, dt=dt, arrival=arrival)
+            return self.follower.map_samples(samples, dt=dt, arrival=arrival)
         return self.gripping.map_samples(samples, measured_q, dt=dt, arrival=arrival)
-
-
-class _PlainRobot(RobotFollower):
-    """What a grip leads: a follower by the method of its base class."""
-
-    def __init__(self, follower: GrippingRobotFollower) -> None:
-        self.mapper = follower.mapper
-        self.work = follower.work
-        self._follower = follower
-
-    def map_samples(
-        self, samples: Mapping[Side, HumanSample], **times: Any
-    ) -> RobotStep:
-        return RobotFollower.map_samples(self._follower, samples, **times)

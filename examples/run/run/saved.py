@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from handmap_core.errors import HandError
-from handmap_core.models import DistancesModel, EstimatorModel, TeleoperationModel
 from handmap_qp import __version__, mapping
+from handmap_qp.errors import HandError
 from handmap_qp.hands.pad import Pad
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
-from handmap_qp.stream.follower import RejoinKind, Smoothing
+from handmap_qp.models import DistancesModel, EstimatorModel, TeleoperationModel
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.hand_grip import GripOptions
+from handmap_qp.stream.rejoin import RejoinKind
+from handmap_qp.stream.smoothing import Smoothing
 from .form import HAND, KIND, ROBOT, File, decode
 from .gripping import GrippingFollower
 from .hands import KINDS, Record
@@ -86,7 +88,8 @@ def load(
     """
     with _opened(Path(path), HAND) as saved:
         mapper = HandMapper(saved.human, saved.robot, **_options([saved]))
-    return GrippingFollower(mapper, grip, rejoin=rejoin, smoothing=smoothing)
+    follower = Follower(mapper, rejoin=rejoin, smoothing=smoothing)
+    return GrippingFollower(follower, grip)
 
 
 def load_robot(
@@ -101,6 +104,7 @@ def load_robot(
     The first sample of each hand is its reference.
     """
     # Most programs have one hand.
+    from handmap_qp.stream.robot_follower import RobotFollower
     from .robot_gripping import GrippingRobotFollower
 
     with _opened(Path(path), ROBOT) as saved:
@@ -111,7 +115,8 @@ def load_robot(
         humans = {each.robot.side: each.human for each in saved.hands}
         options = _options(saved.hands)
         mapper = mapping.RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
-    return GrippingRobotFollower(mapper, grip, rejoin=rejoin, smoothing=smoothing)
+    follower = RobotFollower(mapper, rejoin=rejoin, smoothing=smoothing)
+    return GrippingRobotFollower(follower, grip)
 
 
 def _options(hands: Sequence[Any]) -> dict[str, Any]:

@@ -10,13 +10,18 @@ import numpy as np
 import pinocchio as pin
 
 import handmap_qp
-from handmap_core.errors import InvalidOptionsError
-from handmap_core.models import Model, encode
-from handmap_core.options import Options
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.compiled import hand_model
-from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
+from handmap_qp.mapping import (
+    HandMapper,
+    RobotMapper,
+    TargetSource,
+    robot_fingers,
+)
+from handmap_qp.models import Model, encode
+from handmap_qp.options import Options
 from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
 from .form import HAND, KIND, ROBOT, File
@@ -68,7 +73,8 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
     if isinstance(mapper, RobotMapper):
         form, tree = ROBOT, _robot(mapper, collisions)
     else:
-        form, tree = HAND, _hand(mapper, mapper.bound.contacts is not None, collisions)
+        contacts = mapper.bound.contacts is not None
+        form, tree = HAND, _hand(mapper.source, mapper, contacts, collisions)
     body = encode(tree)
     version = handmap_qp.__version__
     file = File(KIND, version, zlib.crc32(body), body, form)
@@ -78,29 +84,42 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
 def _robot(mapper: RobotMapper, collisions: Any) -> dict[str, Any]:
     """Return a robot, and each of its hands as if it was alone, but for the collisions."""
     # Which pairs of a hand pinch, among those of all hands and among its own.
-    contacts = mapper._pinching or [()] * len(mapper.leaders)
-    leaders = zip(mapper.leaders.values(), contacts, strict=True)
+    sources = mapper.sources.values()
+    contacts = mapper.pinching or [()] * len(sources)
+    hands = zip(sources, contacts, strict=True)
     robot = _hand_of(mapper.robot) | {"collisions": collisions}
     return {
         "": "Saved",
         "robot": robot,
-        "hands": [_hand(leader, [*own], None) for leader, own in leaders],
-        "turns_in": mapper._turns_in,
+        "hands": [_hand(source, mapper, [*rows], None) for source, rows in hands],
+        "turns_in": mapper.turns_in,
     }
 
 
-def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
-    """Return a hand, the person's, and how the one follows the other."""
-    kind = type(mapper.bound).__name__
+def _hand(
+    source: TargetSource,
+    mapper: HandMapper | RobotMapper,
+    contacts: Any,
+    collisions: Any,
+) -> dict[str, Any]:
+    """Return a hand, the person's, and how the one follows the other.
+
+    Args:
+        source: The human's side of the hand.
+        mapper: Moves it.
+        contacts: As of `BoundMethod`, as the core needs them.
+        collisions: As of `_collisions`.
+    """
+    kind = type(source.bound).__name__
     if kind not in ("BoundHomogeneous", "BoundTeleoperation"):
         _refuse("method", f"{kind.removeprefix('Bound')} is in Python alone")
-    if mapper.tasks or mapper.ik.tasks:
+    if source.tasks or mapper.ik.tasks:
         _refuse("tasks", "further tasks are in Python alone")
-    robot = _hand_of(mapper.robot) | {"collisions": collisions}
-    if can_grip(mapper):
-        robot["grasp"] = _grasp(mapper.robot)
-    landmarks = mapper.human.with_points("landmarks").reference_points
-    human = _hand_of(mapper.human) | {"landmarks": _packed(landmarks)}
+    robot = _hand_of(source.robot) | {"collisions": collisions}
+    if can_grip(source):
+        robot["grasp"] = _grasp(source.robot)
+    landmarks = source.human.with_points("landmarks").reference_points
+    human = _hand_of(source.human) | {"landmarks": _packed(landmarks)}
     orders = {
         name: np.array(layout.order("right"))
         for name, layout in LAYOUTS.items()
@@ -110,11 +129,11 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         "": "Saved",
         "human": human,
         "robot": robot,
-        "bound": _packed(mapper.bound) | {"contacts": contacts},
+        "bound": _packed(source.bound) | {"contacts": contacts},
         "ik": _packed(mapper.ik),
-        "dt": mapper.dt,
-        "joint_tolerance": mapper.joint_tolerance,
-        "quat_order": mapper.quat_order,
+        "dt": mapper.moving_robot.usual_dt,
+        "joint_tolerance": source.joint_tolerance,
+        "quat_order": source.quat_order,
         "orders": orders,
     }
 

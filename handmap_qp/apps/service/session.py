@@ -42,7 +42,7 @@ from handmap_core.se3 import Array
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
-from handmap_qp.mapping import MapStep, check_joints
+from handmap_qp.mapping import MapStep, Placement, check_joints
 from handmap_qp.stream import FollowingCheck, ObjectFollower
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
@@ -761,7 +761,8 @@ class Session:
             return
         # It may have braked meanwhile, or a sample was refused half-way.
         motion = self._commanded.motion
-        if not all(map(np.array_equal, motion, mapper.motion)):
+        is_known = mapper.placement is Placement.KNOWN
+        if not (is_known and all(map(np.array_equal, motion, mapper.motion))):
             mapper.motion = motion
 
     def _accept(self, now: float) -> list[str]:
@@ -773,9 +774,9 @@ class Session:
 
     def _follow(self, step: MapStep) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
-        mapper = self._hands.mapper
-        if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow_command(mapper.point_ik.gate, step.command)
+        solver = self._hands.mapper.point_ik
+        if solver.options.has_velocity_limits and not self._is_slewing:
+            self._commanded.follow_command(solver.gate, step.command)
             return []
         target = step.command
         is_there = self._commanded.move_to(target.q, target.wrist, self._when)

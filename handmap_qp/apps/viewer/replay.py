@@ -1,7 +1,7 @@
 """A recording, mapped by one method or two (`Replay`), and in the browser (`ReplayViewer`)."""
 
+from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -158,9 +158,10 @@ class Replay:
         robot = self._robot
         if robot.parts:
             humans = self.human.by_side
-            mapper: Any = RobotMapper(robot, humans, choice.method, ik=choice.ik)
+            both = RobotMapper(robot, humans, choice.method, ik=choice.ik)
+            mapper: HandMapper | RobotMapper = both
             samples = paired({each.side: each for each, _ in self._seen})
-            mapped: Any = map(RobotFollower(mapper).map_samples, samples)
+            mapped: Iterator[MapStep] = map(RobotFollower(both).map_samples, samples)
         else:
             mapper = HandMapper(self.human, robot, choice.method, ik=choice.ik)
             mapped = follow_recording(Follower(mapper), self._recording)

@@ -147,9 +147,9 @@ class HomogeneousMap(CoreMap):
         )
         fit = estimate.linear, estimate.centroid_after, sample.points
         results = linear, rotation, rigid_image, image, factors.stretches
-        return self.asked([points, wrist, *fit, *results], is_clamped)
+        return self.targets_of([points, wrist, *fit, *results], is_clamped)
 
-    def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
+    def targets_of(self, parts: list[Array], is_clamped: bool) -> Targets:
         """Return the targets whose arrays were computed here or by the core.
 
         T_def has clamping and gain.

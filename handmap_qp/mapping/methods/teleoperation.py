@@ -136,9 +136,9 @@ class TeleoperationMap(CoreMap, PalmMap):
             pinching,
             extensions / model.human_reach,
         ]
-        return self.asked(parts)
+        return self.targets_of(parts)
 
-    def asked(self, parts: list[Array], is_clamped: bool = False) -> Targets:
+    def targets_of(self, parts: list[Array], is_clamped: bool = False) -> Targets:
         """Return the targets whose arrays were computed here or by the core.
 
         T is estimated in palm axes, from the human's rest posture. In the world, that posture lies
