@@ -866,7 +866,6 @@ class Session:
             self._stamp = sample.time
             self._stamped = sample.seq
         state = self._state
-        self._clock.note_command(now)
         q, wrist = self.posture
         if self._following:
             self._following.command(q, now)
@@ -875,7 +874,7 @@ class Session:
             seq=self._stamped,
             name=self.name,
             time=self._stamp,
-            server_time=now,
+            server_time=self._clock.note_command(),
             joint_names=self.robot.joint_names,
             q=to_row(q),
             wrist=to_pose(wrist),
