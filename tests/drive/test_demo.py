@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from handmap_qp import Recording, load_hand, read_recording
 from handmap_qp.errors import HandmapError
@@ -13,6 +15,7 @@ from handmap_qp.errors import HandmapError
 for module in ("dynamixel_sdk", "pymodbus"):
     pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
+import handmap_drive  # noqa: E402
 from handmap_drive.demo import Driven, slowed, started  # noqa: E402
 
 
@@ -57,7 +60,7 @@ def test_joints_are_compared_with_the_commands_at_their_delay(
 
 @pytest.mark.slow
 def test_emulated_motors_follow_a_person(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handmap_drive.demo.APPROACH", 2.0)
     try:
@@ -65,7 +68,12 @@ def test_emulated_motors_follow_a_person(
     except HandmapError as error:
         pytest.skip(str(error))
     part = recording.part(slice(60, 180))
-    with started("leap_right", part) as chain:
+    # Emulated motors answer when the machine gives them a turn.
+    own = Path(handmap_drive.__file__).with_name("leap.yaml").read_text()
+    table = tmp_path / "leap.yaml"
+    table.write_text(f"{own}\npatience: 5.0\n")
+    servos = "dynamixel", table
+    with started("leap_right", part, servos, timeout=PATIENCE) as chain:
         chain.approach()
         driven = chain.end(*chain.lead())
     # Joints in another order are some 0.5 rad away; motors that wait for a busy machine lag.
