@@ -471,6 +471,20 @@ def test_late_answers_are_never_those_of_another_message(
         np.testing.assert_allclose(seen(motors)[0], [0.5, 0.15], atol=0.01)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_driver_waits_as_long_as_its_table_says(kind: str, tmp_path: Path) -> None:
+    # Several times what drivers wait by themselves.
+    latency = {"latency": 0.15}
+    with two(tmp_path, kind) as (emulator, motors):
+        emulator.order(**latency)
+        q, _, _ = motors.read()
+        np.testing.assert_allclose(q, [START, 0.15], atol=UNIT)
+    with two(tmp_path, kind, IMPATIENT) as (emulator, motors):
+        emulator.order(**latency)
+        with pytest.raises(DriverError):
+            motors.read()
+
+
 @pytest.mark.parametrize("kind", MOTORS)
 def test_faults_of_motors_are_named(kind: str, tmp_path: Path) -> None:
     heat, load = (
@@ -670,6 +684,7 @@ WRONG_MOTORS: list[Any] = [
         ],
         ("dynamixel", {"rate": 0}, r"Expected `float` >= 5.0 - at `\$\.rate`"),
         ("dynamixel", {"rate": 1e6}, r"Expected `float` <= 1000.0 - at `\$\.rate`"),
+        ("dynamixel", {"patience": 0.0}, r"`float` >= 0.001 - at `\$\.patience`"),
         ("dynamixel", {"speed": -8.0}, r"Expected `float` > 0.0 - at `\$\.speed`"),
         ("dynamixel", {"speed": 1e9}, r"Expected `float` <= 100.0 - at `\$\.speed`"),
         ("dynamixel", {"effort": 1.5}, r"Expected `float` <= 1.0 - at `\$\.effort`"),
