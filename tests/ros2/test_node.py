@@ -214,8 +214,11 @@ def test_a_node_that_was_started_first_waits_for_the_server(
         node.client.timeout = 0.05
         node.callbacks["timer"]()
         assert "ServiceTimeoutError" in node.published["log"][-1]
-        node.client.timeout = 20.0
-        with serving(port=free_port) as server, Client(address_of(server)) as tracker:
+        node.client.timeout = PATIENCE
+        with (
+            serving(port=free_port) as server,
+            Client(address_of(server), timeout=PATIENCE) as tracker,
+        ):
             tracker.open("three_finger", name="lab")
             node.callbacks["timer"]()
             assert len(node.published["log"]) == 1
