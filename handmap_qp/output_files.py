@@ -5,11 +5,12 @@ synchronised. What is written after it, such as a line about it, can rely on it.
 """
 
 import errno
+import fcntl
 import glob
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
@@ -150,6 +151,42 @@ def make_folder(path: Path, argument: str) -> None:
         path.mkdir(parents=True, exist_ok=True)
         for folder in missing:
             sync(folder.parent)
+
+
+@contextmanager
+def locked_file(path: Path, argument: str, command: str) -> Iterator[IO[bytes]]:
+    """Open a file to read it and to append to it, in one process at a time.
+
+    The kernel removes the lock when the process ends, however it ends. Nothing is buffered, so that
+    nothing that could not be written is written again at the end.
+
+    Args:
+        path: The file, which is made if it does not exist.
+        argument: Argument or option that names it.
+        command: The command that writes such files, as users call it.
+
+    Raises:
+        InvalidInputError: If the file cannot be opened, or another process writes to it.
+    """
+    with ExitStack() as opened:
+        with writing(path, argument):
+            stream = opened.enter_context(path.open("a+b", buffering=0))
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                problem = f"{path}: another {command} writes to it"
+                raise InvalidInputError(problem, argument=argument) from error
+        yield stream
+
+
+def append(stream: IO[bytes], content: bytes) -> None:
+    """Write to the end of a `locked_file`.
+
+    Raises:
+        OSError: If the disk does not take all of it.
+    """
+    if stream.write(content) < len(content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @contextmanager

@@ -18,8 +18,14 @@ from patience import PATIENCE
 
 # Draw the same examples on every run, so that a failure is reproducible.
 # `--hypothesis-profile=explore` draws others.
+# On a busy machine all examples come slowly, which says nothing of their strategy.
 settings.register_profile(
-    "ci", deadline=None, max_examples=40, derandomize=True, database=None
+    "ci",
+    deadline=None,
+    max_examples=40,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.register_profile(
     "explore",

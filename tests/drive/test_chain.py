@@ -90,10 +90,16 @@ class Chain:
         return bool(self.emulator.order()["torque"].any())
 
 
+# Emulated motors answer when the machine gives them a turn. Only an Ability hand must be seen to
+# be silent: in less than the time after which the loop takes this computer to be late.
 HANDS = {
-    "dynamixel": ("servos", {"full": 2352}, {"zero": 3.14159}),
-    "inspire": ("inspire_right", {"full": 1000}, {"zero": 1000, "ratio": -680.3}),
-    "ability": ("ability", {"full": 621, "address": 80}, {"zero": 0}),
+    "dynamixel": ("servos", {"full": 2352, "patience": 5.0}, {"zero": 3.14159}),
+    "inspire": (
+        "inspire_right",
+        {"full": 1000, "patience": 2.0},
+        {"zero": 1000, "ratio": -680.3},
+    ),
+    "ability": ("ability", {"full": 621, "address": 80, "patience": 0.2}, {"zero": 0}),
 }
 """Driver, and what a table of these motors has, by kind."""
 

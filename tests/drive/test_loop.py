@@ -344,6 +344,22 @@ def test_one_lost_answer_is_nothing_and_many_end_it(drive: Drive) -> None:
         drive.go(UNANSWERED + 0.05, here)
 
 
+def test_the_time_in_which_this_computer_was_late_is_not_the_motors_silence(
+    drive: Drive,
+) -> None:
+    here = command(a=0.2, b=0.5)
+    for _ in range(4):
+        drive.now += 2.0 * UNANSWERED
+        drive.motors.is_silent = True
+        drive.go(0.01, here)
+        # Motors that were not read for so long may have been reset.
+        assert drive.loop.state is State.STOPPED
+        drive.motors.is_silent = False
+        drive.go(3.0, here)
+        assert drive.loop.state is State.FOLLOWING
+    assert drive.loop.summary()["answers lost"] == 4
+
+
 @pytest.mark.parametrize(
     ("health", "text"),
     [

@@ -39,6 +39,7 @@ def test_replay_records(
     assert summary["hand_seen"] == int(copy.valid.sum()) == 59
 
 
+@pytest.mark.usefixtures("patient")
 def test_replay_leads_the_service(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

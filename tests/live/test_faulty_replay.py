@@ -52,6 +52,7 @@ def test_the_seed_decides(recording: Path, tmp_path: Path) -> None:
     assert not (one == other).any()
 
 
+@pytest.mark.usefixtures("patient")
 def test_it_leads_the_service(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

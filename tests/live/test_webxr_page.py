@@ -122,10 +122,9 @@ def show_hands(browser: Browser, *sides: str) -> None:
     """Let the emulated headset see moving hands, to and fro without jumps."""
     joints = {side: webxr_joints(side).tolist() for side in sides}
     browser.evaluate(
-        f"clearInterval(window.motion); window.joints = {json.dumps(joints)}; window.sample = 0;"
-        "emulated.hands = {};"
-        "window.motion = setInterval(() => { sample += 1; for (const side in joints)"
-        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }, 30); 0"
+        f"window.joints = {json.dumps(joints)}; window.sample = 0; emulated.hands = {{}};"
+        "emulated.beforeFrame = () => { sample += 1; for (const side in joints)"
+        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }; 0"
     )
 
 

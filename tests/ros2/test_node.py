@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from handmap_ros2 import bridge
-from patience import wait_until
+from patience import PATIENCE, wait_until
 from ros2_cases import COMMAND, PACKAGE
 from service_tools import address_of, client_of, human_q, serving
 
@@ -191,7 +191,7 @@ def test_the_node_carries_samples_in_and_commands_out(
                 )
             )
             assert node.published["wrist_command"]
-            seen = watching.latest(5.0)
+            seen = watching.latest(PATIENCE)
             assert seen is not None
             assert seen.time == 12.5
             sent = node.published["joint_commands"][-1]
@@ -214,8 +214,11 @@ def test_a_node_that_was_started_first_waits_for_the_server(
         node.client.timeout = 0.05
         node.callbacks["timer"]()
         assert "ServiceTimeoutError" in node.published["log"][-1]
-        node.client.timeout = 20.0
-        with serving(port=free_port) as server, Client(address_of(server)) as tracker:
+        node.client.timeout = PATIENCE
+        with (
+            serving(port=free_port) as server,
+            Client(address_of(server), timeout=PATIENCE) as tracker,
+        ):
             tracker.open("three_finger", name="lab")
             node.callbacks["timer"]()
             assert len(node.published["log"]) == 1

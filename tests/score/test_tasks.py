@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -894,11 +896,48 @@ def test_attempts_of_other_versions_are_not_resumed(tmp_path: Path) -> None:
     file = tmp_path / FILE
     with Kept(file, "numpy 1", resume=False):
         pass
-    with pytest.raises(InvalidInputError, match="numpy 1"):
-        Kept(file, "numpy 2", resume=True)
+    changed = Kept(file, "numpy 2", resume=True)
+    with pytest.raises(InvalidInputError, match="numpy 1"), changed:
+        pass
     file.write_text("nothing\n")
-    with pytest.raises(InvalidInputError, match="a journal"):
-        Kept(file, "numpy 2", resume=True)
+    with pytest.raises(InvalidInputError, match="a journal"), changed:
+        pass
+
+
+KEEPING = """
+import sys, time
+from pathlib import Path
+from handmap_score.tasks.journal import Kept
+with Kept(Path(sys.argv[1]), "1", resume=True):
+    print("open", flush=True)
+    time.sleep(600.0)
+"""
+"""A program that has a journal open until it is killed."""
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_journal_has_one_run_at_a_time_and_is_free_when_that_is_killed(
+    resume: bool, tmp_path: Path
+) -> None:
+    file = tmp_path / FILE
+    program = [sys.executable, "-c", KEEPING, str(file)]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline() == "open\n"
+            before = file.read_bytes()
+            second = Kept(file, "1", resume=resume)
+            with pytest.raises(InvalidInputError) as refused, second:
+                pass
+            assert str(refused.value) == (
+                f"--out: {file}: another handmap score writes to it"
+            )
+            assert [*tmp_path.iterdir()] == [file]
+            assert file.read_bytes() == before
+        finally:
+            other.kill()
+    with second:
+        assert len(second) == 0
 
 
 def test_a_kept_attempt_is_the_same(tmp_path: Path) -> None:
@@ -906,7 +945,8 @@ def test_a_kept_attempt_is_the_same(tmp_path: Path) -> None:
     line = Line.of("key", one, is_recounted=True, is_contradicted=False)
     with Kept(tmp_path / FILE, "1", resume=False) as kept:
         kept.add(line)
-    again = Kept(tmp_path / FILE, "1", resume=True).get("key")
+    with Kept(tmp_path / FILE, "1", resume=True) as resumed:
+        again = resumed.get("key")
     assert again is not None
     assert again.attempt[:-1] == one[:-1]
     assert one.record is not None

@@ -10,6 +10,7 @@ from person_cases import worn
 from service_tools import (
     CACHE,
     PERIOD,
+    RESET,
     Sampler,
     accelerations,
     follow,
@@ -278,6 +279,78 @@ def test_samples_without_a_hand_do_not_interrupt_a_return_to_rest(
     without, with_samples = durations
     # The samples divide the way into more commands.
     assert with_samples <= 1.1 * without
+
+
+def reset_while_measuring(**choices: Any) -> tuple[Session, list[Command]]:
+    """Reset a session that measures the hand, whose robot stands away from its rest posture.
+
+    Args:
+        choices: Further choices of the request that opened it.
+
+    Returns:
+        The session, and the last command before the reset.
+    """
+    session, _ = restored_while_moving(ACCELERATION_LIMIT, **choices)
+    commands = run_turns(session, 10.0, 10, 1)
+    assert session.mode == "calibrating"
+    assert not session.motion.is_braking
+    assert distance_to_rest(session) > 0.2
+    session.reset(RESET, commands[-1].server_time)
+    return session, commands[-1:]
+
+
+def distance_to_rest(session: Session) -> float:
+    """Return the largest distance of a joint from its rest angle [rad]."""
+    return float(np.abs(session.posture[0] - session.robot.rest).max())
+
+
+def test_a_reset_while_the_hand_is_measured_moves_the_robot_to_rest() -> None:
+    session, commands = reset_while_measuring()
+    # Samples at 33 Hz, so that the robot arrives before the hand is measured.
+    commands += run_turns(session, commands[-1].server_time, 6 * 19, 6)
+    assert {command.status for command in commands[1:]} == {"calibrating"}
+    assert "slewing" in commands[1].flags
+    assert "slewing" not in commands[-1].flags
+    assert commands[-1].q == tuple(session.robot.rest)
+    assert_brakes_within(commands, ACCELERATION_LIMIT)
+
+
+def test_a_hand_that_is_measured_on_the_way_to_rest_leads_from_there() -> None:
+    session, commands = reset_while_measuring()
+    still = landmarks_of()
+    commands += run_turns(session, commands[-1].server_time, 300, 1, landmarks=still)
+    on_the_way = [command for command in commands if "slewing" in command.flags]
+    assert {command.status for command in on_the_way} > {"calibrating"}
+    # The first sample is the reference: a hand that stays there leads to rest.
+    assert on_the_way[-1] is not commands[-1]
+    assert distance_to_rest(session) < 0.02
+    assert_brakes_within(commands, ACCELERATION_LIMIT)
+
+
+@pytest.mark.parametrize("end", ["release", "stop", "engage", "silence"])
+def test_what_ends_a_way_to_rest_also_ends_it_while_the_hand_is_measured(
+    end: str,
+) -> None:
+    session, commands = reset_while_measuring(watchdog=0.1, resume="engage")
+    commands += run_turns(session, commands[-1].server_time, 5, 1)
+    if end == "release":
+        session.release()
+    if end == "stop":
+        session.stop(1)
+    if end == "engage":
+        session.clutch()
+    if end == "silence":
+        commands += run_turns(session, commands[-1].server_time, 60, 0)
+        assert session.mode == "hold"
+    commands += run_turns(session, commands[-1].server_time, 5, 1)
+    before = session.posture[0]
+    assert distance_to_rest(session) > 0.1
+    if end == "stop":
+        session.clear(1)
+    session.clutch()
+    commands += run_turns(session, commands[-1].server_time, 5, 1)
+    assert_brakes_within(commands, ACCELERATION_LIMIT)
+    np.testing.assert_array_equal(session.posture[0], before)
 
 
 @pytest.mark.slow

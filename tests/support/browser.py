@@ -40,10 +40,15 @@ FRAME = 0.25
 Software draws a frame of hands in tens of milliseconds on all cores, and a page asks for the next
 one at once.
 """
+# The browser calls back when it can draw. A page that draws by a timer alone gets ahead of it on a
+# busy machine, and a screenshot waits behind all frames that are not drawn yet.
 _SELDOM = f"""
-window.requestAnimationFrame = (draw) =>
-    setTimeout(() => draw(performance.now()), {1e3 * FRAME:g});
-window.cancelAnimationFrame = clearTimeout;
+(() => {{
+    const request = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = (draw) =>
+        setTimeout(() => request(draw), {1e3 * FRAME:g});
+    window.cancelAnimationFrame = clearTimeout;
+}})();
 """
 DRAWING = 180.0
 """Timeout for a page rendered in software on a busy machine [s]."""

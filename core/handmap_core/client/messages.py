@@ -629,7 +629,8 @@ class Command(Reply):
     Attributes:
         name: Public name of the session.
         time: Time stamp of the sample that it answers [s].
-        server_time: Time of the command on the server's monotonic clock [s].
+        server_time: Time of the command on the server's monotonic clock [s], by 1 us at least later
+            than that of the command before.
         joint_names: As the URDF names them, in the order of `q`.
         q: Joint angles [rad].
         wrist: The wrist frame in the robot's world; null before it is known. That of the first hand

@@ -4,19 +4,16 @@ The last line of a key says how it stands. A line that was being written when th
 cut off at the next start, and its recording is mapped again.
 """
 
-import errno
-import fcntl
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.refusals import naming
-from handmap_qp.output_files import sync, writing
+from handmap_qp.output_files import append, locked_file, sync, writing
 from handmap_qp.trackers import SEPARATOR
 
 Status = Literal["listed", "done", "failed", "killed"]
@@ -115,28 +112,19 @@ def open_manifest(
     part, parts = shard
     name = "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
     file = folder / name
-    with ExitStack() as opened:
+    with locked_file(file, "--out", "handmap batch") as stream:
         with writing(file, "--out"):
-            # Unbuffered, so that nothing that could not be written is written again at the end.
-            stream = opened.enter_context(file.open("a+b", buffering=0))
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                problem = f"{file}: another handmap batch writes to it"
-                raise InvalidInputError(problem, argument="--out") from error
             # Cut off what follows the last line break.
             if file.stat().st_size:
                 stream.truncate(file.read_bytes().rfind(b"\n") + 1)
             sync(file.parent)
 
-        def append(line: Line) -> None:
-            text = msgspec.json.encode(line) + b"\n"
+        def add(line: Line) -> None:
             with writing(file, "--out"):
-                if stream.write(text) < len(text):
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                append(stream, msgspec.json.encode(line) + b"\n")
                 os.fsync(stream.fileno())
 
-        yield append
+        yield add
 
 
 def read_manifests(folder: Path) -> dict[str, Line]:

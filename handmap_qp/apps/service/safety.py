@@ -147,6 +147,10 @@ class SessionClock:
     simulated time, the time stamps count. A stamp that is late by up to `BEHIND` takes (nearly) no
     time. The next stamp takes the time by which it is later than all before.
 
+    Each command has an instant of its own, also where the watchdog acts at the instant of a sample:
+    the next one is later by `SHORTEST_DT` at least. So readers of a stream can order its commands,
+    and limits hold by the instants that they read.
+
     Args:
         request: The request that opened the session, which has its times.
         now: The present [s].
@@ -163,8 +167,10 @@ class SessionClock:
         self._request = request
         self.waited = 0.0
         self._held_since = self._last_command = self.last_sample = now
-        self._granted = self._arrival = now
+        self._arrival = now
         self._commanded_at = now - waited
+        # Instant of the command in progress, up to which time was granted.
+        self._instant = max(now, self._commanded_at)
         self._stamp = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
@@ -187,23 +193,32 @@ class SessionClock:
             flags.append("time_backwards")
         elif abs(stamped - since_sample) > 1.0 and is_ours:
             flags.append("time_jump")
-        wanted = now - self._granted if is_ours else stamped
+        elapsed = self._begin_command(now)
+        wanted = elapsed if is_ours else stamped
         if wanted > self._request.max_dt:
             flags.append("dt_clamped")
         is_late = -BEHIND <= stamped <= 0.0 and not is_ours
         if self._stamp is None or not is_late:
             self._stamp = stamp
-        self._arrival = self._granted = now
-        self.waited = self.since_command(now) if is_ours else stamped
+        self._arrival = now
+        self.waited = self._instant - self._commanded_at if is_ours else stamped
         return self._limited(wanted), flags
+
+    def _begin_command(self, now: float) -> float:
+        """Find the instant of a command; return the time since that of the one before [s]."""
+        before = self._instant
+        earliest = before + SHORTEST_DT
+        self._instant = now if now > earliest else earliest
+        return self._instant - before
 
     def since_command(self, now: float) -> float:
         """Return the time since the last command [s]."""
         return now - self._commanded_at
 
-    def note_command(self, now: float) -> None:
-        """Note a command: the next one waits from here on."""
-        self._commanded_at = now
+    def note_command(self) -> float:
+        """Note that the command in progress is made; return its instant [s]."""
+        self._commanded_at = self._instant
+        return self._instant
 
     def feed(self, now: float) -> None:
         """Note a sample that can be used, and the command that answers it."""
@@ -257,9 +272,9 @@ class SessionClock:
         period = RETURN_PERIOD if is_moving else HEARTBEAT
         if now - self._last_command < period:
             return 0.0
-        elapsed = now - self._granted
-        self.waited = self.since_command(now)
-        self._last_command = self._granted = now
+        elapsed = self._begin_command(now)
+        self.waited = self._instant - self._commanded_at
+        self._last_command = now
         return self._limited(elapsed)
 
     def will_return(self, state: SessionState) -> bool:

@@ -416,6 +416,8 @@ class Session:
             self.measure(sample, now)
             dt, flags = self._clock.grant(sample.time, now)
             self._grant(dt)
+            if self.request.resume == "engage" and self._state.is_silent:
+                self._reset_mapper()
             if calibration := self._hands.calibration:
                 return self._calibrate(calibration, humans, sample, now)
             self._prepare_mapper()
@@ -680,8 +682,8 @@ class Session:
     ) -> Command:
         """Collect landmarks until the human hand is measured.
 
-        The robot holds meanwhile. If it moves, because its session was restored or because it was
-        returning to rest, it brakes first.
+        The robot holds meanwhile, unless a reset sent it to rest. If it moves, because its session
+        was restored or because it was returning to rest, it brakes first.
         """
         added = self._form.each(sample, lambda side, _: calibration.add(humans[side]))
         first, *others = added.values()
@@ -689,8 +691,12 @@ class Session:
         hands = calibration.result()
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
-        # The watchdog does not brake while samples arrive.
-        self._hold_or_return()
+        if rule or self._state is not SessionState.FOLLOWING or self._goal is None:
+            # The watchdog does not brake while samples arrive.
+            self._hold_or_return()
+        else:
+            is_there = self._commanded.move_to(self._goal, None, self._when, stops=True)
+            flags += ["slewing"] * (not is_there)
         command = self._command(
             now,
             self._state.mode if self._state.is_halted else "calibrating",
@@ -702,7 +708,7 @@ class Session:
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self.request)
-            self._reset_mapper()
+            self._reset_mapper(self._goal)
         return command
 
     def _hold_or_return(self) -> None:
@@ -752,8 +758,6 @@ class Session:
 
     def _prepare_mapper(self) -> None:
         """Let the mapper go on from the robot's motion."""
-        if self.request.resume == "engage" and self._state.is_silent:
-            self._reset_mapper()
         if self._is_slewing:
             return
         mapper = self._hands.mapper
@@ -786,6 +790,8 @@ class Session:
     def _reset_mapper(self, q: Array | None = None) -> None:
         """Reset the mapper to the robot, or to q (n,); the next sample is the reference."""
         self._effort = None
+        # Where the mapper is, on the way to which the robot is; None if it is where the robot is.
+        self._goal = q
         mapper = self._hands.mapper
         robot = self._commanded
         self._is_slewing = q is not None or not robot.is_placed
@@ -867,7 +873,6 @@ class Session:
             self._stamp = sample.time
             self._stamped = sample.seq
         state = self._state
-        self._clock.note_command(now)
         q, wrist = self.posture
         if self._following:
             self._following.command(q, now)
@@ -876,7 +881,7 @@ class Session:
             seq=self._stamped,
             name=self.name,
             time=self._stamp,
-            server_time=now,
+            server_time=self._clock.note_command(),
             joint_names=self.robot.joint_names,
             q=to_row(q),
             wrist=to_pose(wrist),

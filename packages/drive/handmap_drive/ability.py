@@ -36,8 +36,8 @@ SCALE = np.radians(150.0) / _FARTHEST
 NONE = (0,) * 6
 """Currents of motors without torque."""
 FLAG, ESCAPE = b"\x7e", b"\x7d"
-_WRITING, _READING = 1.0, 0.05
-"""Longest waits of one call of the port [s]."""
+_WRITING, _PATIENCE = 1.0, 0.05
+"""Longest waits of one call of the port [s]; the second one unless the table has another one."""
 FAULTS = {0: "too hot, or a collision"}
 """Bits of what a motor reports."""
 _YIELDING = 0.1
@@ -80,7 +80,7 @@ class Ability(TableDriver):
         self._port = serial.Serial(
             self._port_name,
             self._table.baud,
-            timeout=_READING,
+            timeout=self._table.patience or _PATIENCE,
             write_timeout=_WRITING,
             exclusive=True,
         )

@@ -203,6 +203,8 @@ def started(
     robot: str,
     recording: Recording,
     servos: tuple[str, Path] | None = None,
+    *,
+    timeout: float = 10.0,
     **orders: Any,
 ) -> Iterator[Chain]:
     """Start a chain, and end it.
@@ -211,6 +213,7 @@ def started(
         robot: One of `HANDS`, or the hand.yaml of one.
         recording: The recording that leads it.
         servos: In place of the hand's own motors, emulated servos and their table.
+        timeout: Longest wait for an answer of the service [s].
         **orders: Orders to the emulated motors, such as `loss`.
 
     Raises:
@@ -235,7 +238,7 @@ def started(
         motors.order(**orders)
         service = start(command("serve", *ports, "--log-level", "error", *extra))
         address = f"127.0.0.1:{service.line()['ports']['requests']}"
-        client = start(Client(f"tcp://{address}", timeout=10.0))
+        client = start(Client(f"tcp://{address}", timeout=timeout))
         person = measure_person(recording).session_fields()
         client.open(
             hand.name,

@@ -26,7 +26,12 @@ LOST = 0.3
 UNREAD = 0.15
 """Time without an answer of the motors after which they stop: they may have been reset [s]."""
 UNANSWERED = 0.5
-"""Time without an answer of the motors after which the loop ends [s]."""
+"""Time in which motors are asked without an answer, after which the loop ends [s]."""
+_ASKED = 0.1
+"""Longest time that one question without an answer counts for [s].
+
+In the rest of a longer turn this computer was late, and asked nothing.
+"""
 HOLDING = 0.3
 """Share of the limit of torque that is left while motors only hold."""
 HOTTEST = 60.0
@@ -122,6 +127,8 @@ class Loop:
         # Motors: what was read of them and when.
         self._is_read = True
         self._answered = now
+        self._looked = now
+        self._unanswered = 0.0
         # Where joints come to by the last goals.
         self._expected = self._q
         # The session: a straight line from one command to the next, one interval late.
@@ -222,14 +229,18 @@ class Loop:
             DriverError: If they have not answered for some time, are too hot or report a fault.
         """
         self._is_read = False
+        since_look = now - self._looked
+        self._looked = now
         try:
             q, torque, health = self._gate.read()
         except DriverError:
             self._unread += 1
-            if now - self._answered > UNANSWERED:
+            self._unanswered += min(since_look, _ASKED)
+            if self._unanswered > UNANSWERED:
                 raise
             return
         self._is_read = True
+        self._unanswered = 0.0
         self._answered = now
         self._q = self._joints.angles(q)
         self._torque = torque

@@ -51,6 +51,12 @@ from .emulated_motors import EmulatedMotors
 from .emulated_servos import Dynamixel, Feetech
 
 STEP = 0.004  # s
+_LONGEST = 0.02
+"""Longest motion between two looks at the port [s].
+
+Motors hear messages when they arrive. If this process is late, those that arrived meanwhile are not
+later than the motion that is due.
+"""
 KINDS: dict[str, Callable[[range, float], EmulatedMotors]] = {
     "dynamixel": Dynamixel,
     "feetech": Feetech,
@@ -121,8 +127,8 @@ class Bus:
         self.log: list[dict[str, Any]] = []
 
     def advance(self) -> None:
-        """Advance all joints to the present."""
-        now = time.monotonic()
+        """Advance all joints towards the present, which further calls reach."""
+        now = min(time.monotonic(), self.then + _LONGEST)
         while now - self.then > STEP:
             self.then += STEP
             self.motors.move(STEP, self.then)
@@ -133,7 +139,7 @@ class Bus:
         self.buffer += self.line.read()
         for message in self.motors.messages(self.buffer):
             if self.random.random() >= self.loss:
-                self.motors.heard = time.monotonic()
+                self.motors.heard = self.then
                 for answer in self.motors.obey(message):
                     self.send(bytearray(answer))
 
@@ -161,7 +167,7 @@ class Bus:
                         getattr(motors, name)[..., i] = value
                 case "reboot":
                     for number, seconds in order.items():
-                        motors.reboot(int(number), seconds, time.monotonic())
+                        motors.reboot(int(number), seconds, self.then)
                 case "unplug":
                     self.line.close()
 

@@ -41,7 +41,7 @@ FAULTS = dict(
 )
 """Bits of `ERROR`."""
 _PATIENCE = 0.05
-"""Longest wait for an answer [s]."""
+"""Longest wait for an answer, unless the table has another one [s]."""
 _UNKNOWN = -1
 """Force of a hand that did not answer to the last one."""
 _OTHERS = FORCE_ACT, ERROR, TEMPERATURE
@@ -68,7 +68,8 @@ class Inspire(TableDriver):
         modbus = importlib.import_module("pymodbus.client")
         self._refusals = importlib.import_module("pymodbus.exceptions")
         host, _, number = self._port_name.rpartition(":")
-        more: dict[str, Any] = {"timeout": _PATIENCE, "retries": 0}
+        self._patience = self._table.patience or _PATIENCE
+        more: dict[str, Any] = {"timeout": self._patience, "retries": 0}
         # Names of serial ports may have colons, too.
         if host and "/" not in host:
             is_right = number.isdecimal() and int(number) < 65536
@@ -179,7 +180,7 @@ class Inspire(TableDriver):
         """
         if self._is_late:
             # RTU answers have no number: a late one would pass for the next.
-            time.sleep(_PATIENCE)
+            time.sleep(self._patience)
         self._is_late = True
         try:
             answer = getattr(self._client, name)(

@@ -19,6 +19,8 @@ _Rate = Annotated[float, number(5.0, 1000.0)]
 """Slower loops count as late in each turn, and no bus is faster."""
 _Speed = Annotated[float, number(high=100.0, above=True)]
 """No joint of a hand is faster."""
+_Patience = Annotated[float, number(0.001, 60.0)]
+"""A loop that waits longer for one answer has ended."""
 
 
 class Motor(Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,6 +59,8 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
         bus: Family of servos, or the hand.
         address: Number of a hand on its bus.
         setup: Further registers of servos to write at the start: address, bytes, value.
+        patience: Longest wait for an answer [s], 0.001 to 60; the driver's own if omitted. A slow
+            adapter or network needs more.
     """
 
     baud: _Count
@@ -68,6 +72,7 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
     bus: Literal["dynamixel", "feetech", "inspire", "ability"] = "dynamixel"
     address: Annotated[int, Meta(ge=0, le=255)] = 1
     setup: tuple[tuple[int, Literal[1, 2, 4], int], ...] = ()
+    patience: _Patience | None = None
 
     def __post_init__(self) -> None:
         for _, size, value in self.setup:

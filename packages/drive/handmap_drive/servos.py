@@ -22,7 +22,7 @@ from .motors import TableDriver
 STEPS = 4096
 """Steps of a turn."""
 _WRITING, _READING = 1.0, 0.01
-"""Longest waits of one call of the port [s]; a missing answer counts after some 40 ms."""
+"""Longest waits of one call of the port [s]. Both packages wait some 36 ms for an answer."""
 _ALERT = 128
 """Bit in an answer of a motor with a fault, which `read` tells."""
 
@@ -105,6 +105,13 @@ class Servos(TableDriver):
                 serial.reset_input_buffer()
 
         port.clearPort = clear
+        patience = self._table.patience
+        if patience is not None:
+
+            def begin_waiting(_length: int) -> None:
+                port.setPacketTimeoutMillis(1e3 * patience)
+
+            port.setPacketTimeout = begin_waiting
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""

@@ -108,7 +108,7 @@ function takeFrame({ time, hands }) {
   for (const card of cards) {
     card.joints = hands[card.side] ?? null;
     card.seen ||= Boolean(card.joints);
-    if (sent.has(sessionOf(card)) && card.joints) card.sent.push(time);
+    if (sent.has(sessionOf(card)) && card.joints) card.sent.push(performance.now());
   }
 }
 

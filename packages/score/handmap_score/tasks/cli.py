@@ -101,15 +101,15 @@ def score_tasks(request: TasksRequest) -> None:
         "attempts of each block": str(request.blocks.attempts),
         "versions": ", ".join(package_versions()),
     }
-    kept = Kept(request.out / FILE, about["versions"], resume=request.resume)
+    journal = Kept(request.out / FILE, about["versions"], resume=request.resume)
     objects = {
         task: tuple(n for n in request.objects if n in CATALOGUE[task].objects)
         for task in tasks
     }
-    with TemporaryDirectory(prefix="handmap-") as folder:
+    with journal as kept, TemporaryDirectory(prefix="handmap-") as folder:
         cells, labels = _cells(request, tasks, Path(folder))
         processes = request.processes or os.cpu_count() or 1
-        with kept, _told("attempts:") as say:
+        with _told("attempts:") as say:
             results = run_cells(
                 cells, request.blocks, processes, say, kept, objects, labels
             )

@@ -1,10 +1,11 @@
 """The journal of a run: every attempt is kept as it comes, so that a stopped run can go on.
 
 One line of JSON an attempt, in `attempts.jsonl` of the folder of --out. The first line names the
-versions that made the others.
+versions that made the others. One run at a time has the file open.
 """
 
 import io
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import IO, NamedTuple, Self
@@ -13,6 +14,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import append, locked_file, writing
 from .attempt import Attempt
 from .task import Record
 
@@ -76,7 +78,7 @@ class Line(msgspec.Struct, frozen=True):
 
 
 class Kept:
-    """Outcomes of a run, by keys, in a file that grows.
+    """Outcomes of a run, by keys, in a file that grows while the block of `with` lasts.
 
     Args:
         file: The journal.
@@ -84,28 +86,44 @@ class Kept:
         resume: Whether outcomes that are in the file already count; else it is begun again.
 
     Raises:
-        InvalidInputError: If the file was made by other versions, or is not a journal.
+        InvalidInputError: At the block's begin, if another run has the file open, or if it was made
+            by other versions or is not a journal.
     """
 
     def __init__(self, file: Path, versions: str, *, resume: bool) -> None:
         self._found: dict[str, Line] = {}
         self._versions = versions
-        lines = file.read_bytes().splitlines() if file.exists() else []
-        if lines and resume:
-            self._read(lines, file)
-        elif lines:
-            # A forgotten --resume must not cost the attempts.
-            file.replace(file.with_suffix(".before.jsonl"))
         self._file = file
-        self._open: IO[bytes] | None = None
+        self._is_resumed = resume
+        self._opened = ExitStack()
+        self._stream: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
-        # Written again without a last line that was cut off.
-        self._open = self._file.open("wb")
-        self._write(Head(self._versions))
-        for line in self._found.values():
-            self._write(line)
+        with ExitStack() as opening:
+            stream = opening.enter_context(
+                locked_file(self._file, "--out", "handmap score")
+            )
+            stream.seek(0)
+            content = stream.read()
+            if content and self._is_resumed:
+                self._read(content.splitlines())
+            with writing(self._file, "--out"):
+                self._begin(stream, content)
+            self._opened = opening.pop_all()
+        self._stream = stream
         return self
+
+    def _begin(self, stream: IO[bytes], content: bytes) -> None:
+        """Leave the lines in the file that count, and nothing behind them to append to."""
+        if content and self._is_resumed:
+            # A last line that was cut off.
+            stream.truncate(content.rfind(b"\n") + 1)
+            return
+        if content:
+            # A forgotten --resume must not cost the attempts.
+            self._file.with_suffix(".before.jsonl").write_bytes(content)
+        stream.truncate(0)
+        append(stream, _encoded(Head(self._versions)))
 
     def __exit__(
         self,
@@ -113,8 +131,8 @@ class Kept:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._open is not None:
-            self._open.close()
+        self._stream = None
+        self._opened.close()
 
     def __len__(self) -> int:
         """Return how many outcomes there are."""
@@ -125,23 +143,33 @@ class Kept:
         return self._found.get(key)
 
     def add(self, line: Line) -> None:
-        """Keep an outcome; it is in the file when this returns."""
-        self._found[line.key] = line
-        self._write(line)
+        """Keep an outcome; it is in the file when this returns.
 
-    def _read(self, lines: list[bytes], file: Path) -> None:
+        Raises:
+            InvalidInputError: If the file cannot be written, as where the disk is full.
+        """
+        if self._stream is None:
+            raise RuntimeError("the journal is not open")
+        self._found[line.key] = line
+        with writing(self._file, "--out"):
+            append(self._stream, _encoded(line))
+
+    def _read(self, lines: list[bytes]) -> None:
+        """Take the outcomes that are in the file already."""
         head, *rest = lines
         try:
             versions = msgspec.json.decode(head, type=Head).versions
         except msgspec.MsgspecError as error:
             raise InvalidInputError(
-                argument="--resume", expected="a journal of attempts", got=str(file)
+                argument="--resume",
+                expected="a journal of attempts",
+                got=str(self._file),
             ) from error
         if versions != self._versions:
             raise InvalidInputError(
                 argument="--resume",
                 expected=f"attempts of {self._versions}",
-                got=f"{file} of {versions}; run without --resume to begin again",
+                got=f"{self._file} of {versions}; run without --resume to begin again",
             )
         for raw in rest:
             try:
@@ -151,11 +179,9 @@ class Kept:
                 continue
             self._found[line.key] = line
 
-    def _write(self, line: Head | Line) -> None:
-        if self._open is None:
-            raise RuntimeError("the journal is not open")
-        self._open.write(msgspec.json.encode(line) + b"\n")
-        self._open.flush()
+
+def _encoded(line: Head | Line) -> bytes:
+    return msgspec.json.encode(line) + b"\n"
 
 
 def _packed(record: Record) -> bytes:
