@@ -304,8 +304,8 @@ class HandMapper(Mapper[core.HandMapper]):
         """Map one sample as it comes in."""
         robot = self.moving_robot
         when = robot.when(dt, time)
-        # `SampleReader::map_landmarks` or `map_joints` (core/src/mapper.hpp), by the kind of
-        # reader. None for a sample that Python has to look at.
+        # `SampleReader::map_landmarks` or `map_joints` in the core, by the kind of reader.
+        # None for a sample that Python has to look at.
         timed = None
         if self.core is not None:
             timed = self.core.map(reader.core, numbers, wrist, when)

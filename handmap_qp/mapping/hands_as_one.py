@@ -1,6 +1,6 @@
 """Targets of the hands of a robot as one, for one QP; and its result as that of each hand.
 
-The compiled core has the same for hands that it maps (`core/src/robot.hpp`).
+The `RobotMapper` of the compiled core has the same for hands that it maps.
 """
 
 from __future__ import annotations

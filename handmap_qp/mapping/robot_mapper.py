@@ -278,7 +278,8 @@ class RobotMapper(Mapper[core.RobotMapper]):
         since = []
         for side, hand in self.hands.items():
             # A hand that has stayed begins in Python.
-            if hand.core is None or hand.is_staying:
+            was_in_core = isinstance(hand.step.request, core.HandRequest)
+            if hand.core is None or not was_in_core:
                 return None
             reader = reader_of(hand.source).core
             waited = hand.waited + granted

@@ -1,6 +1,6 @@
 """Where the targets of both hands go: palms turn to the person's, and near ones keep their offset.
 
-The compiled core has the same for hands that it maps (`core/src/robot.hpp`).
+The `RobotMapper` of the compiled core has the same for hands that it maps.
 """
 
 from __future__ import annotations
