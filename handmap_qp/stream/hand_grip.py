@@ -309,6 +309,7 @@ class HandGrip:
             and self._is_apart
             and abs(gap - before.gap) < _STILL
             and gap - commanded > behind
+            and self._is_between(middle, line)
         )
         still, met = (before.gap, before.met + dt) if is_met else (gap, 0.0)
         time = before.time + dt * is_pinching
@@ -320,6 +321,17 @@ class HandGrip:
         self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
         if self.is_seen and self.place is not None:
             self.place = self.place.touched(middle, line)
+
+    def _is_between(self, middle: Array, line: Array) -> bool:
+        """Return whether an object whose place is known may be between the pads.
+
+        Args:
+            middle: The measured middle between the pads [m], shape (3,).
+            line: Direction from the thumb's pad to the finger's, shape (3,).
+        """
+        if not self.is_seen or self.place is None:
+            return True
+        return self.place.is_midway(middle, line)
 
     def _gathering(self, gap: float) -> float:
         """Return the share of the weights by which pads gather around an object, from 0 to 1.

@@ -526,6 +526,29 @@ def test_a_touch_corrects_the_place_along_the_line_of_the_pads(allegro: Hand) ->
     assert place.deviation_along(across) == pytest.approx(0.005, rel=0.1)
 
 
+def test_a_finger_that_another_part_stops_is_no_grip_of_a_known_object(
+    allegro: Hand,
+) -> None:
+    """Its pads are behind the command and still, as in a grip, but far from around the place."""
+    centre = meeting(allegro)
+    index = robot_fingers(allegro).used["index"].columns
+
+    def grips(place: np.ndarray | None) -> bool:
+        grip = grip_follower(allegro)
+        q = allegro.rest
+        steps = []
+        for sample in samples():
+            steps.append(grip.map_sample(sample, q, place, 0.0))
+            # Stopped open, the index finger leaves the thumb 40 mm or more away.
+            stopped = q[index]
+            q = steps[-1].command.q.copy()
+            q[index] = stopped
+        return any(step.command.effort is not None for step in steps)
+
+    assert grips(None)
+    assert not grips(centre)
+
+
 def test_a_corrected_place_outlives_the_grip_and_an_object_that_is_hidden(
     allegro: Hand,
 ) -> None:

@@ -28,6 +28,16 @@ def test_a_place_counts_less_the_less_certain_it_is() -> None:
     assert diagonals[3] < 0.002
 
 
+@pytest.mark.parametrize("deviation", [0.0, 0.005, 0.01])
+def test_pads_that_press_on_an_object_are_around_it(deviation: float) -> None:
+    place = ObjectPlace.first(CENTRE, deviation)
+    # Three deviations of the place and of the touch together, along the line of the pads.
+    farthest = 3.0 * np.hypot(deviation, 0.002)
+    across = np.array([0.0, 0.1, -0.1])
+    assert place.is_midway(CENTRE + 0.99 * farthest * X + across, X)
+    assert not place.is_midway(CENTRE - 1.01 * farthest * X, X)
+
+
 @given(
     st.floats(0.0, 0.02),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
