@@ -71,6 +71,17 @@ class ObjectPlace(NamedTuple):
         shares = 1.0 / (1.0 + variances.clip(0.0) / _TRUSTED**2)
         return (axes * shares) @ axes.T
 
+    def shares_beside(self, line: Array, across: float) -> Array:
+        """Return `shares` of which those across a line count less, shape (3, 3).
+
+        Args:
+            line: Direction of the line, of length 1, shape (3,).
+            across: Share of an error across the line that counts, from 0 to 1.
+        """
+        along = np.outer(line, line)
+        counted = along + across * (np.eye(3) - along)
+        return counted @ self.shares @ counted
+
     def deviation_along(self, direction: Array) -> float:
         """Return the standard deviation along a direction of length 1, shape (3,) [m]."""
         return float(np.sqrt(direction @ self.covariance @ direction))
