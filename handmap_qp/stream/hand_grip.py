@@ -8,7 +8,9 @@ between the pads. The QP pulls to joint positions that press so: its limits hold
 Where it is known at which place the object is, both pads close around it, so that none of them
 pushes it away before the other one is there: as far as the place is certain. Those of thumb and
 first finger gather around it while the person's fingers are still open, because a closing lasts
-some 0.2 s, and is over before slow joints have moved both pads there.
+some 0.2 s, and is over before slow joints have moved both pads there. In the open hand they gather
+along the line between them alone: they come from elsewhere to where they meet, and bringing them to
+the place across that line stretches the fingers, so that other links push the object.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from handmap_qp.mapping import (
     robot_fingers,
 )
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
-from .closing_pads import ClosingPads, FingerPads
+from .closing_pads import ClosingPads, FingerPads, PadsState
 from .object_place import ObjectPlace
 
 # Weights of a held joint, which leave other terms little, of one that turns [1/rad] and of one that
@@ -48,7 +50,8 @@ _HELD_SLIDING = 6e4
 # those of jaws on any.
 _PINCHED, _OPENED = 0.045, 0.07
 # As the gap of the person's fingers falls from the first to the second of these [m], pads gather
-# around a known place: both are wider than any object that they could grip.
+# around a known place along their line: both are wider than any object that they could grip. Across
+# the line they come to the place as the gap falls from there to `_OPENED`.
 _GATHER_FROM, _GATHERED = 0.13, 0.1
 # Pads that close feel how far they may go. They go no faster than that depth in this time, by which
 # joints are late [s], and have met something where this share is behind.
@@ -104,6 +107,18 @@ class _Closing(NamedTuple):
     least: float = 0.0  # least gap that presses with no more than the force [m]
     time: float = 0.0  # for how long the person has pinched [s]
     met: float = 0.0  # time since they have met something [s]
+
+
+class Gathering(NamedTuple):
+    """Shares of the weights by which pads come to a place, from 0 to 1.
+
+    Attributes:
+        along: Along the line between the pads.
+        across: Of that, across the line.
+    """
+
+    along: float
+    across: float
 
 
 class _Grip(NamedTuple):
@@ -279,7 +294,7 @@ class HandGrip:
             # Any tip may be the nearest in an open hand. People take things with the first finger.
             finger = 0
         gathering = self._gathering(gaps[finger])
-        if is_opened and gathering == 0.0:
+        if is_opened and gathering.along == 0.0:
             return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
@@ -295,10 +310,10 @@ class HandGrip:
         # How far the command is in what the pads meet, where they press with the force.
         depth = self.options.force * (levers @ (levers / self._stiffness))
         placed.place(step.ik.q)
-        commanded, aimed, _ = pads.state(placed)
+        commanded = pads.state(placed)
         before = self._closing
         if finger != before.finger:
-            before = _Closing(finger, np.inf, commanded, before.time)
+            before = _Closing(finger, np.inf, commanded.gap, before.time)
         # Not at once: joints that are late would let it jump.
         pressing = max(gap - depth, before.least - depth * dt / _LATE)
         behind = self.options.behind
@@ -309,12 +324,13 @@ class HandGrip:
                 pressing if self.options.gentle else -np.inf,
                 _funnel(self.place, middle, before.time),
             )
-            self.terms = self._around(pads, self.place, aimed, least, gathering)
+            self.terms = self._around(pads, self.place, commanded, least, gathering)
         is_met = (
             is_pinching
             and self._is_apart
             and abs(gap - before.gap) < _STILL
-            and gap - commanded > behind
+            and gap - commanded.gap > behind
+            and self._is_between(middle, line)
         )
         still, met = (before.gap, before.met + dt) if is_met else (gap, 0.0)
         time = before.time + dt * is_pinching
@@ -327,42 +343,55 @@ class HandGrip:
         if self.is_seen and self.place is not None:
             self.place = self.place.touched(middle, line)
 
-    def _gathering(self, gap: float) -> float:
-        """Return the share of the weights by which pads gather around an object, from 0 to 1.
+    def _is_between(self, middle: Array, line: Array) -> bool:
+        """Return whether an object whose place is known may be between the pads.
+
+        Args:
+            middle: The measured middle between the pads [m], shape (3,).
+            line: Direction from the thumb's pad to the finger's, shape (3,).
+        """
+        if not self.is_seen or self.place is None:
+            return True
+        return self.place.is_midway(middle, line)
+
+    def _gathering(self, gap: float) -> Gathering:
+        """Return how pads gather around an object.
 
         Args:
             gap: Gap of the person's fingers [m].
         """
         if not self.is_seen or self.place is None:
-            return 0.0
-        share = (_GATHER_FROM - gap) / (_GATHER_FROM - _GATHERED)
-        return float(np.clip(share, 0.0, 1.0))
+            return Gathering(0.0, 0.0)
+        along = (_GATHER_FROM - gap) / (_GATHER_FROM - _GATHERED)
+        across = (_GATHERED - gap) / (_GATHERED - _OPENED)
+        return Gathering(*np.clip([along, across], 0.0, 1.0).tolist())
 
     def _around(
         self,
         pads: FingerPads,
         place: ObjectPlace,
-        aimed: Array,
+        commanded: PadsState,
         least: float,
-        share: float,
+        gathering: Gathering,
     ) -> tuple[Task, ...]:
         """Return the term by which pads close around a place, if the command is near it.
 
         Args:
             pads: The pads.
             place: The place.
-            aimed: The commanded middle between the pads [m], shape (3,).
+            commanded: Where the pads are commanded.
             least: Least gap of the pads [m].
-            share: Share of the weights.
+            gathering: How they gather around it.
         """
-        off = lengths(aimed - place.centre)
+        off = lengths(commanded.middle - place.centre)
         near = float(np.clip(2.0 - off / _NEAR, 0.0, 1.0))
         if near <= 0.0:
             return ()
         columns = self._hand.joint_columns[pads.columns]
         own = np.isin(np.arange(self._placed.nv), columns)
-        term = ClosingPads(pads, own, place.centre, place.shares, least, near * share)
-        return (term,)
+        shares = place.shares_beside(commanded.line, gathering.across)
+        share = near * gathering.along
+        return (ClosingPads(pads, own, place.centre, shares, least, share),)
 
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""

@@ -12,6 +12,8 @@ PLACE_DEVIATION = 0.005
 """Standard deviation along each axis of a place for which none is stated [m]: a depth camera's."""
 _TOUCH_DEVIATION = 0.002
 """Standard deviation of a place that a touch measures, along its normal [m]."""
+_PLAUSIBLE = 3.0
+"""A touch farther from the place than so many deviations is none of both sides of the object."""
 _TRUSTED = 0.004
 """Standard deviation at which a place counts half as much as an exact one [m]."""
 _SEVERAL = 3.0
@@ -69,9 +71,35 @@ class ObjectPlace(NamedTuple):
         shares = 1.0 / (1.0 + variances.clip(0.0) / _TRUSTED**2)
         return (axes * shares) @ axes.T
 
+    def shares_beside(self, line: Array, across: float) -> Array:
+        """Return `shares` of which those across a line count less, shape (3, 3).
+
+        Args:
+            line: Direction of the line, of length 1, shape (3,).
+            across: Share of an error across the line that counts, from 0 to 1.
+        """
+        along = np.outer(line, line)
+        counted = along + across * (np.eye(3) - along)
+        return counted @ self.shares @ counted
+
     def deviation_along(self, direction: Array) -> float:
         """Return the standard deviation along a direction of length 1, shape (3,) [m]."""
         return float(np.sqrt(direction @ self.covariance @ direction))
+
+    def is_midway(self, point: Array, normal: Array) -> bool:
+        """Return whether two pads that press on the object could have this point between them.
+
+        Pads that press on opposite faces are equally far from its middle along their line. So a
+        measured middle that the place and the touch do not explain is of pads that touch something
+        else, or of a finger that is stopped by another part than its pad.
+
+        Args:
+            point: Midway between the pads [m], shape (3,).
+            normal: Direction of the line between the pads, of length 1, shape (3,).
+        """
+        missed = normal @ (point - self.centre)
+        variance = normal @ self.covariance @ normal + _TOUCH_DEVIATION**2
+        return bool(missed**2 <= _PLAUSIBLE**2 * variance)
 
     def touched(self, point: Array, normal: Array) -> ObjectPlace:
         """Return the place after a touch, which measures it along its normal.

@@ -381,13 +381,16 @@ def test_a_bar_is_handed_over_in_the_air_away_from_the_hand_that_gave_it(
     assert giving._is_reached(touch, pose) == is_reached
 
 
-def handed(away: float = 0.08, height: float = 0.06, slides: float = 0.0) -> Record:
+def handed(
+    away: float = 0.08, height: float = 0.06, slides: float = 0.0, tilt: float = 0.0
+) -> Record:
     """Return made states: a bar is lifted, then the right hand leaves by a distance [m].
 
     Args:
         away: How far the right hand leaves.
         height: Height at which the bar stays.
         slides: How far the bar slides in the left hand, in the second after that.
+        tilt: Angle of the bar to the table [rad].
     """
     count, fingers = 100, 3
     still = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -395,6 +398,7 @@ def handed(away: float = 0.08, height: float = 0.06, slides: float = 0.0) -> Rec
     bar, right, left = still.copy(), still.copy(), still.copy()
     for body in (bar, right, left):
         body[:, 2] = lifted
+    bar[:, 3:5] = np.cos(tilt / 2.0), np.sin(tilt / 2.0)
     right[40:, 0] = away
     bar[40:, 1] = np.linspace(0.0, slides, 60)
     joints = np.zeros((count, fingers))
@@ -412,6 +416,10 @@ def handed(away: float = 0.08, height: float = 0.06, slides: float = 0.0) -> Rec
         ({"height": 0.045}, False),
         ({"slides": 0.03}, True),
         ({"slides": 0.08}, False),
+        ({"tilt": 0.5}, True),
+        # Its lower end is on the table.
+        ({"tilt": 0.65}, False),
+        ({"tilt": -0.65}, False),
     ],
 )
 def test_the_second_judge_counts_what_stays_in_the_left_hand(

@@ -43,6 +43,7 @@ from handmap_score.tasks.report import (
     Check,
     checks_of,
     groups_of,
+    object_rows,
     pair_rows,
     rows_of_results,
 )
@@ -549,11 +550,25 @@ def test_an_outcome_that_the_second_judge_sees_otherwise_shows(
     )
 
 
+def test_shares_of_objects_add_up_to_those_of_their_cell() -> None:
+    wins = [True, False, True, True, False, True, False]
+    objects = ("egg", "pen", "can")
+    rows = object_rows([result_of("unmapped", wins)], {"toy": objects})
+    shares = {row["object"]: row["success"] for row in rows}
+    # Seeds 0, 3 and 6 have the egg, 1 and 4 the pen, 2 and 5 the can.
+    assert shares == {"egg": "2/3", "pen": "0/2", "can": "2/2"}
+    assert rows[1]["causes of failure"] == "2 never <reached>"
+    assert object_rows([result_of("unmapped", wins)], {"toy": ()}) == []
+    few = object_rows([result_of("unmapped", wins[:1])], {"toy": objects})
+    assert [row["object"] for row in few] == ["egg"]
+
+
 def test_the_page_needs_no_other_file_and_no_text_breaks_it() -> None:
     results = [result_of("unmapped", [True, True]), result_of("<b>", [False, True])]
     checks = [Check("what", "where", False, "1 < 2")]
     page = tasks_page(
         rows_of_results(results),
+        object_rows(results, {"toy": ("<egg>", "pen")}),
         pair_rows(groups_of(results)),
         checks,
         ["left out: a & b"],
@@ -562,6 +577,7 @@ def test_the_page_needs_no_other_file_and_no_text_breaks_it() -> None:
     )
     assert "1 never &lt;reached&gt;" in page
     assert "&lt;b&gt;" in page
+    assert "&lt;egg&gt;" in page
     assert "<td><b>" not in page
     assert "http" not in page
     assert "1 of 1 conditions are not met: see below" in page

@@ -16,16 +16,17 @@ from picks import made_pick
 from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.human import tip_gaps
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.se3 import transform_points
-from handmap_qp.stream.closing_pads import ClosingPads
+from handmap_qp.se3 import transform_points, unit
+from handmap_qp.stream.closing_pads import ClosingPads, PadsState
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
-from handmap_qp.stream.hand_grip import GripOptions, _Grip
+from handmap_qp.stream.hand_grip import Gathering, GripOptions, _Grip
 from handmap_qp.stream.object_place import ObjectPlace
 
 
@@ -474,17 +475,58 @@ def test_thumb_and_index_finger_gather_whichever_finger_is_nearest() -> None:
     used = robot_fingers(hand).used
     away = np.abs(gathered - plain).max(axis=0)
     moved = {name: away[finger.columns].max() for name, finger in used.items()}
-    assert moved["index"] > 0.3
+    assert moved["index"] > 0.1
     # The others make room at most.
     assert moved["ring"] < 0.3 * moved["index"]
 
 
 def test_a_wide_open_hand_stays_the_persons(allegro: Hand) -> None:
     grip = grip_follower(allegro).hand_grip
-    assert grip._gathering(0.05) == 0.0
+    assert grip._gathering(0.05) == Gathering(0.0, 0.0)
     grip.see(np.zeros(3), 0.0)
-    shares = [grip._gathering(gap) for gap in (0.2, 0.13, 0.115, 0.1, 0.02)]
-    np.testing.assert_allclose(shares, [0.0, 0.0, 0.5, 1.0, 1.0])
+    gaps = (0.2, 0.13, 0.115, 0.1, 0.085, 0.07, 0.02)
+    along, across = zip(*map(grip._gathering, gaps), strict=True)
+    np.testing.assert_allclose(along, [0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(across, [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-12)
+
+
+def gathered_in_an_open_hand(hand: Hand, ahead: float) -> tuple[float, float]:
+    """Return how far pads of an open hand move to a place [m]: along their line, and across it.
+
+    The place is beside the pads' middle along their line, and ahead of it across the line. The
+    person's thumb and index finger stay 100 mm apart.
+
+    Args:
+        hand: The robot hand.
+        ahead: How far ahead [m].
+    """
+    apart = [tip_gaps(sample.landmarks[None])[0, 0] for sample in samples()]
+    held_open = [*samples()][int(np.argmin(np.abs(np.array(apart) - 0.1)))]
+    placed = hand.configuration()
+    states: list[PadsState] = []
+    centre = None
+    for _ in range(2):
+        grip = grip_follower(hand)
+        pads = grip.hand_grip._pairs[0]
+        q = hand.rest
+        for k in range(60):
+            sample = dataclasses.replace(held_open, time=k / 60.0)
+            step = grip.map_sample(sample, q, centre, 0.0)
+            q = step.command.q
+        placed.place(step.ik.q)
+        states.append(pads.state(placed))
+        _, middle, line = states[0]
+        across = unit(np.cross(line, [0.3, -0.5, 0.7]))
+        centre = middle + 0.01 * line + ahead * across
+    moved = states[1].middle - states[0].middle
+    return float(moved @ line), float(moved @ across)
+
+
+def test_pads_of_an_open_hand_gather_along_their_line_alone(allegro: Hand) -> None:
+    """Where they meet is elsewhere: brought there at once, they would stretch the fingers."""
+    along, across = gathered_in_an_open_hand(allegro, ahead=0.03)
+    assert along > 0.007
+    assert abs(across) < 0.01
 
 
 def test_a_place_moves_pads_the_less_the_less_certain_it_is(allegro: Hand) -> None:
@@ -524,6 +566,29 @@ def test_a_touch_corrects_the_place_along_the_line_of_the_pads(allegro: Hand) ->
     across = np.cross(line, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     assert place.deviation_along(across) == pytest.approx(0.005, rel=0.1)
+
+
+def test_a_finger_that_another_part_stops_is_no_grip_of_a_known_object(
+    allegro: Hand,
+) -> None:
+    """Its pads are behind the command and still, as in a grip, but far from around the place."""
+    centre = meeting(allegro)
+    index = robot_fingers(allegro).used["index"].columns
+
+    def grips(place: np.ndarray | None) -> bool:
+        grip = grip_follower(allegro)
+        q = allegro.rest
+        steps = []
+        for sample in samples():
+            steps.append(grip.map_sample(sample, q, place, 0.0))
+            # Stopped open, the index finger leaves the thumb 40 mm or more away.
+            stopped = q[index]
+            q = steps[-1].command.q.copy()
+            q[index] = stopped
+        return any(step.command.effort is not None for step in steps)
+
+    assert grips(None)
+    assert not grips(centre)
 
 
 def test_a_corrected_place_outlives_the_grip_and_an_object_that_is_hidden(
@@ -577,7 +642,8 @@ def test_pads_gather_the_more_the_nearer_the_persons_fingers_are(
     shares = []
     for gap in (0.13, 0.1225, 0.115, 0.1, 0.05):
         share = grip._gathering(gap)
-        (term,) = grip._around(grip._pairs[0], grip.place, centre, 0.0, share)
+        commanded = PadsState(0.0, centre, np.array([1.0, 0.0, 0.0]))
+        (term,) = grip._around(grip._pairs[0], grip.place, commanded, 0.0, share)
         assert isinstance(term, ClosingPads)
         shares.append(term.share)
     np.testing.assert_allclose(shares, [0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)
@@ -610,8 +676,10 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
     grip.hand_grip._placed.place(step.ik.q)
     place = ObjectPlace.first(centre, 0.0)
     own_grip = grip.hand_grip
-    aimed = centre - 0.01
-    (term,) = own_grip._around(own_grip._pairs[0], place, aimed, 0.0, 1.0)
+    commanded = PadsState(0.0, centre - 0.01, np.array([1.0, 0.0, 0.0]))
+    gathering = Gathering(1.0, 1.0)
+    pads = own_grip._pairs[0]
+    (term,) = own_grip._around(pads, place, commanded, 0.0, gathering)
     placed = allegro.configuration()
     own = [allegro.joint_columns[grip.hand_grip._pairs[0].columns].tolist()]
     base = step.ik.q

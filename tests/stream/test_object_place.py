@@ -28,6 +28,30 @@ def test_a_place_counts_less_the_less_certain_it_is() -> None:
     assert diagonals[3] < 0.002
 
 
+def test_shares_beside_a_line_count_in_full_along_it_alone() -> None:
+    place = ObjectPlace.first(CENTRE, 0.005).touched(CENTRE, X)
+    line = np.array([0.6, 0.8, 0.0])
+    across = np.cross(line, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(place.shares_beside(line, 1.0), place.shares)
+    alone = place.shares_beside(line, 0.0)
+    assert line @ alone @ line == pytest.approx(line @ place.shares @ line)
+    np.testing.assert_allclose(alone @ across, 0.0, atol=1e-12)
+    half = place.shares_beside(line, 0.5)
+    np.testing.assert_allclose(
+        across @ half @ across, across @ place.shares @ across / 4
+    )
+
+
+@pytest.mark.parametrize("deviation", [0.0, 0.005, 0.01])
+def test_pads_that_press_on_an_object_are_around_it(deviation: float) -> None:
+    place = ObjectPlace.first(CENTRE, deviation)
+    # Three deviations of the place and of the touch together, along the line of the pads.
+    farthest = 3.0 * np.hypot(deviation, 0.002)
+    across = np.array([0.0, 0.1, -0.1])
+    assert place.is_midway(CENTRE + 0.99 * farthest * X + across, X)
+    assert not place.is_midway(CENTRE - 1.01 * farthest * X, X)
+
+
 @given(
     st.floats(0.0, 0.02),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),

@@ -29,10 +29,12 @@ from .report import (
     Row,
     checks_of,
     groups_of,
+    object_rows,
     pair_rows,
     problems_of,
     rows_of_results,
 )
+from .table import object_of
 
 BLOCKS = (0, 1000, 2000, 3000, 4000)
 """First seeds of the blocks, unless --seeds says otherwise."""
@@ -122,7 +124,8 @@ def score_tasks(request: TasksRequest) -> None:
                 except FilmError as error:
                     notes.append(str(error))
     named = [_named(one, labels) for one in results]
-    _write(request, named, films, notes, about)
+    used = {task: names or CATALOGUE[task].objects for task, names in objects.items()}
+    _write(request, named, used, films, notes, about)
 
 
 def with_peers(methods: Names) -> Names:
@@ -247,32 +250,44 @@ def _films(
 def _write(
     request: TasksRequest,
     results: Sequence[CellResult],
+    objects: Mapping[str, Names],
     films: dict[str, bytes],
     notes: list[str],
     about: dict[str, str],
 ) -> None:
-    """Write tasks.json and tasks.html, and print the tables."""
+    """Write tasks.json and tasks.html, and print the tables.
+
+    All objects of a task make a table too long for a terminal, so that one is printed if some are
+    chosen.
+    """
     rows = rows_of_results(results)
+    by_object = object_rows(results, objects)
     pairs = pair_rows(groups_of(results))
     checks = checks_of(results, CATALOGUE)
     notes = [*problems_of(results), *notes]
     document = {
         "about": about,
         "results": rows,
+        "objects": by_object,
         "pairs": pairs,
         "soundness": [_check_row(check) for check in checks],
         "notes": notes,
-        "attempts": [row for result in results for row in _attempt_rows(result)],
+        "attempts": [
+            row
+            for result in results
+            for row in _attempt_rows(result, objects[result.cell.task])
+        ],
     }
     pages = {
         "tasks.json": json.dumps(document, indent=1),
-        "tasks.html": tasks_page(rows, pairs, checks, notes, films, about),
+        "tasks.html": tasks_page(rows, by_object, pairs, checks, notes, films, about),
     }
     for name, text in pages.items():
         with replaced_file(request.out / name, "--out") as file:
             file.write(text.encode())
     tables = {
         "Tasks, shares with 95 % intervals": rows,
+        "By object": by_object if request.objects else [],
         "Whether the judge is sound": [_check_row(check) for check in checks],
     }
     print_result(
@@ -291,8 +306,13 @@ def _check_row(check: Check) -> Row:
     }
 
 
-def _attempt_rows(result: CellResult) -> list[Row]:
-    """Return a row for each attempt, with its scene's seed."""
+def _attempt_rows(result: CellResult, objects: Names) -> list[Row]:
+    """Return a row for each attempt, with its scene's seed.
+
+    Args:
+        result: The cell.
+        objects: Objects that its task used; empty if it has none to choose.
+    """
     cell = result.cell
     return [
         {
@@ -301,6 +321,7 @@ def _attempt_rows(result: CellResult) -> list[Row]:
             "operator": cell.operator,
             "mapping": cell.method,
             "seed": one.seed,
+            "object": object_of(one.seed, objects) if objects else "",
             "success": one.is_success,
             "time": round(one.time, 3),
             "tries": one.tries,

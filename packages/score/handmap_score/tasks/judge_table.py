@@ -59,7 +59,8 @@ def recount_hand_over(record: Record) -> bool:
     """Return whether the bar stayed in the air with the left hand after the right one had left.
 
     For half a second it must be 50 mm above its place and 60 mm from where the right wrist had it,
-    and rest in the left wrist's frame within 20 mm. Both hands have as many joints.
+    and rest in the left wrist's frame within 20 mm. Its lower end must be in the air: a bar that
+    leans between hand and table is not held. Both hands have as many joints.
     """
     states = record.qpos
     fingers = (states.shape[1] - 3 * _FREE) // 2
@@ -73,7 +74,10 @@ def recount_hand_over(record: Record) -> bool:
     in_left = _relative(left, bar)
     lifted = int(np.argmax(height > 0.01))
     has_left = np.linalg.norm(in_right - in_right[lifted], axis=1) > 0.06
-    is_done = has_left & (height > 0.05)
+    # The z component of the bar's y axis, along which it is 200 mm long.
+    slope = 2.0 * (bar[:, 5] * bar[:, 6] + bar[:, 3] * bar[:, 4])
+    is_in_air = height - 0.1 * np.abs(slope) > 0.005
+    is_done = has_left & (height > 0.05) & is_in_air
     is_done[: lifted + 1] = False
     for end in range(30, len(states)):
         span = slice(end - 29, end + 1)

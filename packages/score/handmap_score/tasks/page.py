@@ -29,6 +29,7 @@ attempts. <b>force</b>: median of the largest normal force between hand and obje
 
 def tasks_page(
     rows: Sequence[Row],
+    by_object: Sequence[Row],
     pairs: Sequence[Row],
     checks: Sequence[Check],
     notes: Sequence[str],
@@ -39,6 +40,7 @@ def tasks_page(
 
     Args:
         rows: Of `rows_of_results`.
+        by_object: Of `object_rows`.
         pairs: Of `pair_rows`.
         checks: Of `checks_of`.
         notes: What was left out, and why.
@@ -63,6 +65,8 @@ def tasks_page(
         "<p>Scenes in which one of the two alone succeeds, and McNemar's exact probability of so "
         "uneven a split by chance. Pairs are told apart below 5 %.</p>",
         _table(pairs),
+        "<h2>By object</h2>" if by_object else "",
+        _table(by_object),
         "<h2>Films</h2>" if films else "",
         "<p>The first scene, at half its speed.</p>" if films else "",
         *(_figure(caption, film) for caption, film in films.items()),

@@ -6,10 +6,13 @@ from itertools import combinations, pairwise
 from statistics import median
 from typing import NamedTuple
 
+from handmap_qp.hands import Names
+from .attempt import Attempt
 from .benches import CellResult
 from .catalogue import Entry
 from .mapping import OPEN, STRAIGHT, UNMAPPED
-from .shares import Order, contradictions, mcnemar, order_of
+from .shares import Order, Share, contradictions, mcnemar, order_of, wilson
+from .table import object_of
 
 LEAST_UNMAPPED = 0.95
 """Share of successes that an operator needs on its own hand."""
@@ -82,29 +85,72 @@ def rows_of_results(results: Sequence[CellResult]) -> list[Row]:
     return [_row(result) for result in results if not result.problem]
 
 
+def object_rows(
+    results: Sequence[CellResult], objects: Mapping[str, Names]
+) -> list[Row]:
+    """Return a row for each object of each cell that has several.
+
+    Args:
+        results: All cells.
+        objects: Objects that were used, by task.
+    """
+    rows = []
+    for result in results:
+        cell = result.cell
+        names = objects[cell.task]
+        if len(names) < 2:
+            continue
+        by_object: dict[str, list[Attempt]] = {name: [] for name in names}
+        for one in result.attempts:
+            by_object[object_of(one.seed, names)].append(one)
+        rows += [
+            {
+                "task": cell.task,
+                "hand": cell.hand,
+                "operator": cell.operator,
+                "mapping": cell.method,
+                "object": name,
+                **_share_fields(wilson(sum(a.is_success for a in those), len(those))),
+                "force [N]": round(median(a.force for a in those), 1),
+                "causes of failure": _causes_text(those),
+            }
+            for name, those in by_object.items()
+            if those
+        ]
+    return rows
+
+
+def _share_fields(share: Share) -> Row:
+    return {
+        "success": f"{share.successes}/{share.attempts}",
+        "share %": round(100.0 * share.mean, 1),
+        "95 %": f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}",
+    }
+
+
+def _causes_text(attempts: Sequence[Attempt]) -> str:
+    """Return why attempts failed, the most frequent cause first."""
+    causes = Counter(one.cause for one in attempts if one.cause)
+    return ", ".join(f"{n} {cause}" for cause, n in causes.most_common())
+
+
 def _row(result: CellResult) -> Row:
     cell = result.cell
     attempts = result.attempts
-    share = result.share
     times = [one.time for one in attempts if one.is_success]
     blocks = " ".join(str(int(count)) for count in result.wins.sum(axis=1))
-    causes = Counter(one.cause for one in attempts if one.cause)
     return {
         "task": cell.task,
         "hand": cell.hand,
         "operator": cell.operator,
         "mapping": cell.method,
-        "success": f"{share.successes}/{share.attempts}",
-        "share %": round(100.0 * share.mean, 1),
-        "95 %": f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}",
+        **_share_fields(result.share),
         "by block": blocks,
         "time [s]": round(median(times), 2) if times else "-",
         "tries": round(sum(one.tries for one in attempts) / len(attempts), 2),
         "drops": round(sum(one.drops for one in attempts) / len(attempts), 2),
         "force [N]": round(median(one.force for one in attempts), 1),
-        "causes of failure": ", ".join(
-            f"{n} {cause}" for cause, n in causes.most_common()
-        ),
+        "causes of failure": _causes_text(attempts),
     }
 
 

@@ -145,7 +145,7 @@ class TableTask(ABC):
 
     def reset(self, seed: int) -> Scene:
         """Begin an attempt; the seed chooses the object, its place, and where the hand starts."""
-        self._object_name = self._objects[seed % len(self._objects)]
+        self._object_name = object_of(seed, self._objects)
         self._bench = self._bench_of(self._object_name)
         self._simulator = self._bench.simulator
         self._object = self.things[self._object_name]
@@ -320,6 +320,16 @@ class TableTask(ABC):
             force=max(forces.values(), default=0.0),
             moved=float(np.linalg.norm(travel)),
         )
+
+
+def object_of(seed: int, objects: Names) -> str:
+    """Return the object of an attempt: its seed chooses one after another.
+
+    Args:
+        seed: Seed of the attempt.
+        objects: Names of the objects of the task, or of those that were chosen.
+    """
+    return objects[seed % len(objects)]
 
 
 def pad_surfaces(pads: Array, pair: PadPair) -> Array:
