@@ -184,7 +184,7 @@ LANDMARKS = {
     "teleoperation": 8,
     "object": 8,
     "fingertip-vectors": 70,
-    "joint-to-joint": 280,
+    "joint-to-joint": 290,
     "virtual-sphere": 220,
 }
 
