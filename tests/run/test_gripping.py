@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -60,10 +61,11 @@ def check_alike(found: Any, expected: Any, within: float) -> bool:
 
 
 def middle_of(name: str) -> np.ndarray:
-    """Return where the pads of a hand are midway between each other, late in the pick [m]."""
+    """Return where the pads of a hand meet, midway between each other [m]."""
     hand = load_hand(name)
     grip = grip_follower(hand)
-    *_, (step, _) = run(grip, width=-1.0)
+    # Later the hand carries what it holds elsewhere.
+    step, _ = next(itertools.islice(run(grip, width=-1.0), 75, None))
     pads = grip.hand_grip._pairs[0]
     placed = hand.configuration()
     placed.place(step.ik.q)
