@@ -244,6 +244,13 @@ class JointReader:
 class TargetMap:
     """Turns samples into targets, from a reference on."""
 
+    def targets(self, pose: HumanPose) -> tuple[list[Array], bool]:
+        """Return the arrays of a sample's targets, and whether a stretch is clamped.
+
+        Raises:
+            ValueError: If the pose has another number of points, or lacks a wrist that is needed.
+        """
+
 class TeleoperationMap(TargetMap):
     """Made of a `TeleoperationModel`, and of the `PalmModel` of a reference."""
 

@@ -100,6 +100,24 @@ struct StepReader {
   Indices columns;                       // see Hand.joint_columns
 };
 
+// The arrays of targets: points and wrist; where there are distances, their aims, weights and
+// margins; and the diagnostics of the map, if one made them. See CoreMap.asked.
+inline nb::list arrays_of(const Asked& asked, const TargetMap* map) {
+  nb::list found;
+  found.append(array_of(asked.points));
+  found.append(array_of(asked.wrist));
+  if (asked.distances)
+    for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
+      found.append(array_of(*part));
+  if (!map) return found;
+  const double* from = asked.diagnostics.data();
+  for (const auto [rows, columns] : map->shapes()) {
+    found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
+    from += rows * std::max<size_t>(columns, 1);
+  }
+  return found;
+}
+
 // `Stages` of a step, whose objects Python gets when it asks for them.
 struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
@@ -111,7 +129,8 @@ struct Stages : Step {
     return asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
   }
   nb::object read_asked() {
-    if (!asked_.is_valid()) asked_ = reader->views.targets(arrays(), asked.is_clamped);
+    if (!asked_.is_valid())
+      asked_ = reader->views.targets(arrays_of(asked, reader->map.get()), asked.is_clamped);
     return asked_;
   }
   nb::object read_command() {
@@ -132,24 +151,6 @@ struct Stages : Step {
     const double residual = reader->map ? reader->map->residual(asked) : 0.0;
     return summary_ = reader->views.summary(point_error, wrist_error, at_bound, residual,
                                             flags());
-  }
-
- private:
-  // Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
-  nb::list arrays() const {
-    nb::list found;
-    found.append(array_of(asked.points));
-    found.append(array_of(asked.wrist));
-    if (asked.distances)
-      for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
-        found.append(array_of(*part));
-    if (!reader->map) return found;
-    const double* from = asked.diagnostics.data();
-    for (const auto [rows, columns] : reader->map->shapes()) {
-      found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
-      from += rows * std::max<size_t>(columns, 1);
-    }
-    return found;
   }
 };
 
