@@ -28,7 +28,7 @@ errors se3 options models client/__init__ client/messages
 hands/configuration hands/pad
 human/findings human/recording human/sample
 ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
+mapping/alignment mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/closing_pads stream/follower stream/following stream/grip stream/guard stream/hand_grip
@@ -41,7 +41,6 @@ DATA = ("human/rules.json",)
 CHANGES = (
     ("handmap_qp", NAME),
     ("import pinocchio as pin", f"from {NAME} import rotations as pin"),
-    ("import daqp\n", ""),
     # numpy 2 has these.
     (".mT", ".swapaxes(-1, -2)"),
     ("np.vecdot(", 'np.einsum("...i,...i", '),
@@ -58,7 +57,7 @@ CONSTANTS = {
 # These run beside `handmap_qp`, whose objects they write down.
 BESIDE = ("command.py", "saving.py")
 # Imported where an option is used that no saved hand has: other formulations and solvers.
-UNUSED = ("ik.mink_problem", "ik.solvers")
+UNUSED = ("reference.inverse_kinematics",)
 # Names of a package that are in a file of `run`.
 ELSEWHERE = {"ik": {"PointIk": "saved"}}
 PACKAGES = ("human", "ik", "mapping", "stream", "trackers")

@@ -8,8 +8,7 @@ from .alignment import (
     rotation_of,
     rotation_onto,
 )
-from .decomposition import Decomposition, Primitives, decompose, polar, primitives
-from .estimation import MotionEstimate, MotionEstimator, estimate_motion
+from .estimation import MotionEstimate, MotionEstimator
 from .hand_pair import (
     KNUCKLES,
     HandPair,
@@ -85,7 +84,6 @@ __all__ = [
     "Choice",
     "CoreMap",
     "Cylinder",
-    "Decomposition",
     "HandMapper",
     "HandPair",
     "HumanPose",
@@ -98,7 +96,6 @@ __all__ = [
     "PalmMap",
     "PalmMethod",
     "Preset",
-    "Primitives",
     "RobotCommand",
     "RobotFingers",
     "RobotMapper",
@@ -116,11 +113,9 @@ __all__ = [
     "check_joints",
     "check_when",
     "core_pose",
-    "decompose",
     "default_preset",
     "distance",
     "distances_to",
-    "estimate_motion",
     "find_alignment",
     "gap_task",
     "geometry_of",
@@ -133,11 +128,9 @@ __all__ = [
     "palm_of",
     "parse_object",
     "points_in_palm",
-    "polar",
     "possible_presets",
     "preset_choice",
     "preset_with",
-    "primitives",
     "read_options",
     "require_partners",
     "require_points",

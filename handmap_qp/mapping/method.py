@@ -20,7 +20,7 @@ import copyreg
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
@@ -156,14 +156,29 @@ class TargetMap(Protocol):
 
 
 class CoreMap:
-    """Base of target maps that the core has too."""
+    """Base of target maps whose formulas the core has."""
+
+    @cached_property
+    def core_map(self) -> core.TargetMap:
+        """The map as the core has it, made at its first use."""
+        return self.make_core()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes again."""
+        state = vars(self).copy()
+        state.pop("core_map", None)
+        return state
+
+    def targets(self, sample: HumanPose) -> Targets:
+        """Return the targets of one sample, computed by the core; see `TargetMap`."""
+        return self.asked(*self.core_map.targets(core_pose(sample)))
 
     def make_core(self) -> core.TargetMap:
         """Return the map as the core has it."""
         raise NotImplementedError
 
     def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
-        """Return the targets whose arrays the core has computed.
+        """Return the targets whose arrays the core or the published method has computed.
 
         Args:
             parts: The arrays: points, wrist, and what the map of the core adds to them.

@@ -1,4 +1,4 @@
-"""Every solver of `qpsolvers`, nearly as exact as DAQP, which `handmap_qp.ik.qp` calls by itself.
+"""Every solver of `qpsolvers`, nearly as exact as DAQP, which `solve_by_daqp` calls by itself.
 
 `qpsolvers` takes a second to import.
 """
@@ -51,7 +51,7 @@ def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> Array | N
 
 
 def make_solver(name: str) -> Callable[..., Array | None]:
-    """Return a solver with the arguments and the result of `qp.solve_by_daqp`.
+    """Return a solver with the arguments and the result of `solve_by_daqp`.
 
     Args:
         name: Name in `qpsolvers.available_solvers`.

@@ -15,7 +15,8 @@ import handmap_qp
 
 FILE = Path(handmap_qp.__file__)
 PACKAGES = (
-    *("hands", "human", "ik", "mapping", "stream", "trackers", "client"),
+    *("hands", "human", "ik", "mapping", "reference", "stream"),
+    *("trackers", "client"),
     *("apps.drawing", "apps.onboarding"),
 )
 HEAVY = {"numpy", "pinocchio", "coal", "daqp", "mujoco", "scipy", "yaml", "msgspec"}

@@ -30,9 +30,10 @@ from handmap_qp.hands.collision_shapes import shape_model
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.models import encode
+from handmap_qp.reference.daqp_solver import solve_by_daqp
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
