@@ -172,7 +172,7 @@ class _Iterations:
         first: Displacement of the first QP, or of the last that was solved from the start again.
         count: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
-        has_solution: Whether the solver found an answer to the last QP of the iterations.
+        has_solution: Whether the solver found an answer to the last QP.
         pressed: The pair of shapes that the last QP was pressed against; -1 for none.
     """
 
@@ -207,7 +207,6 @@ class _Iterations:
         ):
             rows = self._posed.behind(self.total) if self._posed else None
             self.total, step = self._advance(self.total, rows)
-            self.has_solution = step is not None
             self.last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             if self.count == 1:
                 self.first = self.total
@@ -236,6 +235,7 @@ class _Iterations:
         upper = self._upper
         # Leave later iterations the rest of the bounds, which hold for the whole sample.
         step, slope = self._ik.step(self._goal, lower - so_far, upper - so_far, rows)
+        self.has_solution = step is not None
         self.pressed = -1
         if self._posed and step is not None:
             self.pressed = self._posed.pressed_pair(slope, step)

@@ -47,7 +47,9 @@ def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> Array | N
         solution = qpsolvers.solve_problem(
             problem, solver=solver, **_EXACT.get(solver, {})
         )
-    return solution.x
+    # What OSQP has after all its iterations is nearly right. ProxQP calls one in a hundred problems
+    # with rows infeasible that are not, with an answer that is up to 0.3 rad off.
+    return solution.x if solution.found or solver == "osqp" else None
 
 
 def make_solver(name: str) -> Callable[..., Array | None]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.errors import InvalidOptionsError
 from handmap_core.models import TeleoperationModel
 from handmap_core.se3 import (
     Array,
@@ -43,7 +44,17 @@ class PublishedMethod(NamedTuple):
     choices: Homogeneous | Teleoperation
 
     def bind(self, human: Hand, robot: Hand) -> BoundPublished:
-        """Check the method against two hands; see `Method.bind`."""
+        """Check the method against two hands; see `Method.bind`.
+
+        Raises:
+            InvalidOptionsError: If the choices are of another method, or contradict the hands.
+        """
+        if not isinstance(self.choices, Homogeneous | Teleoperation):
+            raise InvalidOptionsError(
+                option="method",
+                expected="options of Homogeneous or Teleoperation",
+                value=self.choices,
+            )
         return BoundPublished(self.choices.bind(human, robot))
 
 
