@@ -8,9 +8,9 @@ Each function is in `handmap_qp/reference`. docs/theory.md has the formulas.
 import numpy as np
 
 from handmap_qp import (
-    PRESETS,
     HandMapper,
     IkOptions,
+    MappingOptions,
     PublishedMethod,
     decompose,
     estimate_motion,
@@ -39,7 +39,7 @@ def main() -> None:
     robot = load_hand("allegro_right")
     landmarks = read_recording("demo", "right").landmarks[:120:4]
     print_motion(landmarks[0, TIPS], landmarks[10, TIPS])
-    paper = PRESETS["paper"].method
+    paper = MappingOptions()
     # Targets by numpy (eq. 7); the QP by mink, over Pinocchio, solved by OSQP (in place of eq. 8).
     ik = IkOptions(formulation="mink", solver="osqp")
     published = HandMapper(human, robot, PublishedMethod(paper), ik=ik)

@@ -241,6 +241,16 @@ class JointReader:
 
 # -- targets of a robot
 
+class PalmMap:
+    """How a robot's palm follows the human's; made of a `PalmModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+    def follow(self, human: Array) -> Array:
+        """Return the target of the robot's palm for the human's, shape (4, 4) both."""
+
+    def person_at(self, wrist: Array) -> Array:
+        """Return the palm of a human's wrist in the robot's world, shape (4, 4) both."""
+
 class TargetMap:
     """Turns samples into targets, from a reference on."""
 

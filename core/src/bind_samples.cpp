@@ -22,6 +22,11 @@ std::pair<nb::list, bool> targets_of(const TargetMap& map, const HumanPose& pose
   return {arrays_of(asked, &map), asked.is_clamped};
 }
 
+Pose read_pose(const Array& matrix) {
+  expect_size(matrix, 16, "pose");
+  return pose_of(matrix.data());
+}
+
 }  // namespace
 
 void bind_samples(nb::module_& m) {
@@ -34,6 +39,20 @@ void bind_samples(nb::module_& m) {
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
       .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
+  nb::class_<PalmMap>(m, "PalmMap")
+      .def("__init__",
+           [](PalmMap* self, const nb::bytes& model) {
+             new (self) PalmMap{model_of<PalmModel>(model)};
+           },
+           "model"_a)
+      .def("follow",
+           [](const PalmMap& map, const Array& human) { return array_of(map.follow(read_pose(human))); },
+           "human"_a)
+      .def("person_at",
+           [](const PalmMap& map, const Array& wrist) {
+             return array_of(map.person_at(read_pose(wrist)));
+           },
+           "wrist"_a);
   nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets_of, "pose"_a);
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__",

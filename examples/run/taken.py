@@ -57,7 +57,7 @@ CONSTANTS = {
 # These run beside `handmap_qp`, whose objects they write down.
 BESIDE = ("command.py", "saving.py")
 # Imported where an option is used that no saved hand has: other formulations and solvers.
-UNUSED = ("reference.inverse_kinematics",)
+UNUSED = ("reference.inverse_kinematics", "reference.task_rows")
 # Names of a package that are in a file of `run`.
 ELSEWHERE = {"ik": {"PointIk": "saved"}}
 PACKAGES = ("human", "ik", "mapping", "stream", "trackers")

@@ -155,6 +155,16 @@ class TargetMap(Protocol):
         """Return the targets of one sample; a failure changes nothing."""
 
 
+def without_core(target_map: object) -> dict[str, object]:
+    """Return the attributes of a map but the core's own, which a copy makes again."""
+    own = core.TargetMap, core.PalmMap
+    return {
+        name: value
+        for name, value in vars(target_map).items()
+        if not isinstance(value, own)
+    }
+
+
 class CoreMap:
     """Base of target maps whose formulas the core has."""
 
@@ -163,11 +173,9 @@ class CoreMap:
         """The map as the core has it, made at its first use."""
         return self.make_core()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes again."""
-        state = vars(self).copy()
-        state.pop("core_map", None)
-        return state
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state of a copy."""
+        return without_core(self)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample, computed by the core; see `TargetMap`."""

@@ -1,9 +1,6 @@
 """The targets of the published method, and of what `teleoperation` adds to it, by numpy.
 
-    from handmap_qp.reference import PublishedMethod
-
-    preset = get_preset("paper")
-    mapper = HandMapper(human, robot, PublishedMethod(preset.method), ik=preset.ik)
+    mapper = HandMapper(human, robot, PublishedMethod(MappingOptions()))
 
 The maps of `handmap_qp.mapping.methods` prepare what depends on two hands and a reference. The maps
 here compute the same targets as the compiled core does (`handmap/targets.hpp`).
@@ -16,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.models import TeleoperationModel
+from handmap_core.models import PalmModel, TeleoperationModel
 from handmap_core.se3 import (
     Array,
     affine,
@@ -38,7 +35,7 @@ class PublishedMethod(NamedTuple):
     """A method of T whose targets are computed here, and not by the core; see `Method`.
 
     Attributes:
-        choices: Its options, such as `get_preset("paper").method`.
+        choices: Its options: `MappingOptions()` are those of the preset `paper`.
     """
 
     choices: Homogeneous | Teleoperation
@@ -149,11 +146,15 @@ class PublishedTeleoperation:
         self.rest = prepared.rest
         self._prepared = prepared
         self._model = prepared.model
+        self._palm = prepared.palm_model()
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
         model = self._model
-        human_palm, palm, now = self._prepared.follow(sample)
+        assert sample.wrist is not None
+        human_palm = sample.wrist @ self._palm.human_wrist_to_palm
+        palm = moved_palm(self._palm, human_palm)
+        now = transform_points(inverse_pose(human_palm), sample.points)
         shape = now[model.shape_points]
         fit = estimate(self._prepared.method.estimator, shape)
         distances = lengths(now[model.to_points] - now[model.from_points])
@@ -161,7 +162,8 @@ class PublishedTeleoperation:
         pinching = pinch_shares(model, gaps)
         points = pointed(model, moved_points(model, fit, now), now, pinching)
         parts = [
-            *self._prepared.placed(palm, points),
+            transform_points(palm, points),
+            palm @ self._palm.robot_palm_to_wrist,
             row_aims(model, distances),
             np.append(model.extension_weights, model.pinch_weight * pinching),
             contact_margins(model, gaps),
@@ -174,6 +176,21 @@ class PublishedTeleoperation:
             extensions / model.human_reach,
         ]
         return self._prepared.asked(parts)
+
+
+def moved_palm(model: PalmModel, human: Array) -> Array:
+    """Return the target of the robot's palm for the human's, shape (4, 4) both.
+
+    Both have the same rotation from the reference on, and the same translation, or a multiple of
+    it, of a point on each palm.
+    """
+    if model.is_still:
+        return model.start
+    Q = model.alignment
+    moved = transform_points(human, model.human_anchor) - model.human_start
+    origin = transform_points(human, model.origin) + model.offset
+    origin += model.further * moved
+    return affine(Q @ human[:3, :3] @ model.rotation, Q @ origin)
 
 
 def row_aims(model: TeleoperationModel, distances: Array) -> Array:
