@@ -31,7 +31,11 @@ from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
 from handmap_qp.reference.estimation import estimate
-from handmap_qp.reference.targets import moved_points, pinch_shares, row_aims
+from handmap_qp.reference.teleoperation_targets import (
+    moved_points,
+    pinch_shares,
+    row_aims,
+)
 from handmap_qp.se3 import (
     affine,
     inverse_pose,
