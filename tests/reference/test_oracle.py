@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 from marks import crossed
 
-from handmap_qp import HandMapper, IkOptions, PublishedMethod, hand_names, load_hand
+from handmap_qp import (
+    TELEMANIPULATION,
+    HandMapper,
+    Homogeneous,
+    IkOptions,
+    PublishedMethod,
+    Teleoperation,
+    hand_names,
+    load_hand,
+)
 from handmap_qp.errors import (
     InvalidOptionsError,
     MissingExtraError,
@@ -21,8 +30,6 @@ from handmap_qp.errors import (
 )
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.trackers.formats import read_recording
 
@@ -31,6 +38,16 @@ PRESETS = "paper", "object", "teleoperation"
 HANDS = [name for name in hand_names() if not name.startswith("human")]
 # Several times the usual period, so that samples reach limits of speed as well as their targets.
 DT = 0.05
+
+# Choices that the presets leave at their defaults.
+CHOICES = [
+    TELEMANIPULATION,
+    Homogeneous(stretch_min=0.95, stretch_max=1.05, deformation_gain=0.5),
+    Homogeneous(rigid_from="none", reference="rest", pivot="palm", alignment="palm"),
+    Homogeneous(ridge=0.0, reference="previous", pivot="world", scale=0.7),
+    Teleoperation(picking=0.5, scale=0.8, residual_gain=0.5, alignment="palm"),
+    Teleoperation(),
+]
 
 human_of = lru_cache(maxsize=2)(load_hand)
 
@@ -80,6 +97,24 @@ def test_the_core_moves_a_hand_as_the_published_method_does(
         )
         # Every sample starts from one state. A motion that is set ends a detour, so set both.
         by_core.motion = published.motion = Motion(*published.motion)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "human"])
+@pytest.mark.parametrize("method", CHOICES)
+def test_targets_are_those_of_the_core_whatever_is_chosen(
+    method: Homogeneous | Teleoperation, name: str
+) -> None:
+    human, robot = human_of("human", points="landmarks"), load_hand(name)
+    # With these weights, targets do not go with the wrist that the robot reaches.
+    by_core = HandMapper(human, robot, method, ik=IkOptions())
+    published = HandMapper(human, robot, PublishedMethod(method), ik=IkOptions())
+    for sample in read_recording("demo", "right").landmarks[:180:9]:
+        step, expected = (each.map_landmarks(sample) for each in (by_core, published))
+        np.testing.assert_allclose(step.targets, expected.targets, atol=1e-10)
+        np.testing.assert_allclose(step.wrist_target, expected.wrist_target, atol=1e-10)
+        assert step.is_clamped == expected.is_clamped
+        for key, value in expected.diagnostics.items():
+            np.testing.assert_allclose(step.diagnostics[key], value, atol=1e-10)
 
 
 @pytest.mark.parametrize("solver", ["osqp", "proxqp"])
