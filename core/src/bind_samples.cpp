@@ -46,7 +46,9 @@ void bind_samples(nb::module_& m) {
            },
            "model"_a)
       .def("follow",
-           [](const PalmMap& map, const Array& human) { return array_of(map.follow(read_pose(human))); },
+           [](const PalmMap& map, const Array& human) {
+             return array_of(map.follow(read_pose(human)));
+           },
            "human"_a)
       .def("person_at",
            [](const PalmMap& map, const Array& wrist) {
