@@ -169,7 +169,7 @@ DRAWN = {
 def main(parts: list[str]) -> None:
     """Draw the examples whose names have one of these parts, or all."""
     for example in sorted(EXAMPLES.glob("[0-9]*")):
-        # The simulated robot of the last one needs a session to follow.
+        # The simulated robot needs a session to follow.
         is_named = not parts or any(part in example.stem for part in parts)
         if not is_named or example.stem == "10_simulated_robot":
             continue

@@ -61,17 +61,12 @@ if TYPE_CHECKING:
     )
     from .mapping import (
         PRESETS as PRESETS,
-        Decomposition as Decomposition,
         HandMapper as HandMapper,
         MapStep as MapStep,
         Method as Method,
         MotionEstimate as MotionEstimate,
-        Primitives as Primitives,
         RobotCommand as RobotCommand,
-        decompose as decompose,
-        estimate_motion as estimate_motion,
         parse_object as parse_object,
-        primitives as primitives,
     )
     from .mapping.by_name import METHODS as METHODS
     from .mapping.methods.fingertip_vectors import FingertipVectors as FingertipVectors
@@ -85,6 +80,14 @@ if TYPE_CHECKING:
     from .mapping.methods.virtual_object import (
         VirtualEllipsoid as VirtualEllipsoid,
         VirtualSphere as VirtualSphere,
+    )
+    from .reference import (
+        Decomposition as Decomposition,
+        Primitives as Primitives,
+        PublishedMethod as PublishedMethod,
+        decompose as decompose,
+        estimate_motion as estimate_motion,
+        primitives as primitives,
     )
     from .stream import (
         Follower as Follower,
@@ -149,17 +152,12 @@ _HOMES: dict[str, tuple[str, ...]] = {
     ),
     "mapping": (
         "PRESETS",
-        "Decomposition",
         "HandMapper",
         "MapStep",
         "Method",
         "MotionEstimate",
-        "Primitives",
         "RobotCommand",
-        "decompose",
-        "estimate_motion",
         "parse_object",
-        "primitives",
     ),
     "mapping.by_name": ("METHODS",),
     "mapping.methods.fingertip_vectors": ("FingertipVectors",),
@@ -173,6 +171,14 @@ _HOMES: dict[str, tuple[str, ...]] = {
     "mapping.methods.virtual_object": (
         "VirtualEllipsoid",
         "VirtualSphere",
+    ),
+    "reference": (
+        "Decomposition",
+        "Primitives",
+        "PublishedMethod",
+        "decompose",
+        "estimate_motion",
+        "primitives",
     ),
     "stream": (
         "Follower",

@@ -41,10 +41,12 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.collision import Rows
-from handmap_qp.ik.qp import PointIk, direct_cost, solve_by_daqp
-from handmap_qp.ik.solvers import make_solver
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Goal
 from handmap_qp.mapping.presets import get_preset
+from handmap_qp.reference.daqp_solver import solve_by_daqp
+from handmap_qp.reference.problem import direct_cost
+from handmap_qp.reference.solvers import make_solver
 from handmap_qp.se3 import affine
 
 QpSolver = Callable[..., np.ndarray | None]
@@ -99,6 +101,12 @@ class Recorder:
         return solve_by_daqp(H, c, lower, upper, rows)
 
 
+def _record(ik: PointIk, recorder: Recorder) -> None:
+    """Let a recorder solve the QPs of a hand that are posed in Python."""
+    assert ik.reference
+    ik.reference.solver = recorder
+
+
 def mapped_problems(
     motions: Sequence[HumanMotion], robots: Sequence[str], preset: str, count: int
 ) -> list[Problem]:
@@ -117,7 +125,7 @@ def mapped_problems(
         recorder = Recorder(-(-(count - len(problems)) // (len(pairs) - k)))
         human = motion.human.with_points("landmarks")
         mapper = HandMapper(human, load_hand(name), preset, ik=ik)
-        mapper.point_ik._solver = recorder
+        _record(mapper.point_ik, recorder)
         for i in cycle(range(len(motion.time))):
             if recorder.is_full:
                 break
@@ -246,7 +254,7 @@ def hostile_problems(count: int, seed: int = 0) -> list[Problem]:
                 formulation="direct", max_acceleration=rng.choice([None, 40.0])
             )
             run = hostile.IkRun(hand, options, seed + k, shapes)
-            run.ik._solver = recorder
+            _record(run.ik, recorder)
             run.checker.meter = None
             run.advance(min(500, count), hostile.Tally())
         problems += recorder.problems

@@ -12,8 +12,8 @@ With `--compare`, every hand is mapped by both checkouts in turns (`interleaved.
 columns are the ratio of the medians, that of the 99th percentiles, and the largest difference of
 joints and wrists [rad or m].
 
-Parts are those of the readable reference in Python (`formulation="direct"`), mostly calls into
-numpy, Pinocchio and DAQP.
+Parts are those of the published method in Python (`handmap_qp.reference`), mostly calls into numpy,
+Pinocchio and DAQP.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ import pinocchio as pin
 import shared_hands
 import synthetic
 
-import handmap_qp.ik.qp
 import handmap_qp.mapping.readers
 from handmap_qp import (
     AttachedPoints,
@@ -45,13 +44,14 @@ from handmap_qp import (
     MappingOptions,
     MissingExtraError,
     PointDistances,
+    PublishedMethod,
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.mapping.methods import homogeneous
+from handmap_qp.reference import inverse_kinematics, targets
 
 RECORDING = "quest3_webxr_right"
 POINT_COUNTS = (3, 4, 6, 10, 20, 35, 50)
@@ -137,20 +137,21 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     vars(mapper.source.joints)["core"] = None
     mapper.reset()
     mapper.map_step(motion.q[0], motion.wrist[0])
-    ik, reference = mapper.point_ik, mapper.source.counted_from
-    counted = reference.map if reference else None
+    ik, counted = mapper.point_ik, mapper.source.target_map
+    solver = ik.reference
+    assert solver
     wrapped = [
         (handmap_qp.mapping.readers, "check_pose", "checks"),
         (mapper.source.joints, "read", "human FK"),
-        (getattr(counted, "estimator", None), "estimate", "estimation"),
-        (homogeneous, "polar", "decomposition"),
+        (targets, "estimate", "estimation"),
+        (targets, "polar", "decomposition"),
         (counted, "targets", "targets"),
         (ik.gate, "bounds", "limits"),
         (ik.gate, "admit", "gate"),
-        (ik.configuration, "point_jacobian", "Jacobians"),
-        (handmap_qp.ik.qp, "direct_cost", "assembly"),
-        (ik, "_solver", "solve"),
-        (ik.configuration, "place", "integrate and place"),
+        (solver.configuration, "point_jacobian", "Jacobians"),
+        (inverse_kinematics, "direct_cost", "assembly"),
+        (solver, "solver", "solve"),
+        (solver.configuration, "place", "integrate and place"),
         (ik, "solve", "iteration and result"),
     ]
     originals = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]
@@ -379,9 +380,8 @@ def main(words: Sequence[str] | None = None) -> None:
         caption=caption,
     )
     reference = IkOptions(formulation="direct")
-    mapper = HandMapper(
-        motion.human, load_hand(ROBOTS[0]), MappingOptions(), ik=reference
-    )
+    published = PublishedMethod(MappingOptions())
+    mapper = HandMapper(motion.human, load_hand(ROBOTS[0]), published, ik=reference)
     measure_step(mapper, motion, 1)  # warm-up: fill caches
     step = measure_step(mapper, motion, 1 if quick else 3)
     parts = measure_parts(mapper, motion)

@@ -242,8 +242,25 @@ class JointReader:
 
 # -- targets of a robot
 
+class PalmMap:
+    """How a robot's palm follows the human's; made of a `PalmModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+    def follow(self, human: Array) -> Array:
+        """Return the target of the robot's palm for the human's, shape (4, 4) both."""
+
+    def person_at(self, wrist: Array) -> Array:
+        """Return the palm of a human's wrist in the robot's world, shape (4, 4) both."""
+
 class TargetMap:
     """Turns samples into targets, from a reference on."""
+
+    def targets(self, pose: HumanPose) -> tuple[list[Array], bool]:
+        """Return the arrays of a sample's targets, and whether a stretch is clamped.
+
+        Raises:
+            ValueError: If the pose has another number of points, or lacks a wrist that is needed.
+        """
 
 class TeleoperationMap(TargetMap):
     """Made of a `TeleoperationModel`, and of the `PalmModel` of a reference."""

@@ -1,5 +1,6 @@
 // Samples of a human hand to targets and commands of one hand.
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 
 #include "bind.hpp"
 #include "robot.hpp"
@@ -11,6 +12,19 @@ namespace {
 
 nb::object wrist_of(const HumanPose& pose) {
   return pose.has_wrist ? array_of(pose.wrist) : nb::none();
+}
+
+// The targets of a sample: their arrays, and whether a stretch is clamped.
+std::pair<nb::list, bool> targets_of(const TargetMap& map, const HumanPose& pose) {
+  check_pose(map, pose);
+  Targets targets;
+  map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, targets);
+  return {arrays_of(targets, &map), targets.is_clamped};
+}
+
+Pose read_pose(const Array& matrix) {
+  expect_size(matrix, 16, "pose");
+  return pose_of(matrix.data());
 }
 
 }  // namespace
@@ -25,7 +39,23 @@ void bind_samples(nb::module_& m) {
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
       .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
-  nb::class_<TargetMap>(m, "TargetMap");
+  nb::class_<PalmMap>(m, "PalmMap")
+      .def("__init__",
+           [](PalmMap* self, const nb::bytes& model) {
+             new (self) PalmMap{model_of<PalmModel>(model)};
+           },
+           "model"_a)
+      .def("follow",
+           [](const PalmMap& map, const Array& human) {
+             return array_of(map.follow(read_pose(human)));
+           },
+           "human"_a)
+      .def("person_at",
+           [](const PalmMap& map, const Array& wrist) {
+             return array_of(map.person_at(read_pose(wrist)));
+           },
+           "wrist"_a);
+  nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets_of, "pose"_a);
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__",
            [](TeleoperationMap* self, const nb::bytes& model, const nb::bytes& palm) {

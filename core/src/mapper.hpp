@@ -100,6 +100,24 @@ struct StepReader {
   Indices columns;                       // see Hand.joint_columns
 };
 
+// The arrays of targets: points and wrist; where there are distances, their aims, weights and
+// margins; and the diagnostics of the map, if one made them. See CoreMap.targets_of.
+inline nb::list arrays_of(const Targets& targets, const TargetMap* map) {
+  nb::list found;
+  found.append(array_of(targets.points));
+  found.append(array_of(targets.wrist));
+  if (targets.distances)
+    for (const Vector* part : {&targets.aims, &targets.weights, &targets.margins})
+      found.append(array_of(*part));
+  if (!map) return found;
+  const double* from = targets.diagnostics.data();
+  for (const auto [rows, columns] : map->shapes()) {
+    found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
+    from += rows * std::max<size_t>(columns, 1);
+  }
+  return found;
+}
+
 // `Stages` of a step, whose objects Python gets when it asks for them.
 struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
@@ -111,7 +129,9 @@ struct Stages : Step {
     return targets.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
   }
   nb::object read_targets() {
-    if (!targets_.is_valid()) targets_ = reader->views.targets(arrays(), targets.is_clamped);
+    if (!targets_.is_valid())
+      targets_ =
+          reader->views.targets(arrays_of(targets, reader->map.get()), targets.is_clamped);
     return targets_;
   }
   nb::object read_command() {
@@ -132,24 +152,6 @@ struct Stages : Step {
     const double residual = reader->map ? reader->map->residual(targets) : 0.0;
     return summary_ = reader->views.summary(point_error, wrist_error, at_bound, residual,
                                             flags());
-  }
-
- private:
-  // Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
-  nb::list arrays() const {
-    nb::list found;
-    found.append(array_of(targets.points));
-    found.append(array_of(targets.wrist));
-    if (targets.distances)
-      for (const Vector* part : {&targets.aims, &targets.weights, &targets.margins})
-        found.append(array_of(*part));
-    if (!reader->map) return found;
-    const double* from = targets.diagnostics.data();
-    for (const auto [rows, columns] : reader->map->shapes()) {
-      found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
-      from += rows * std::max<size_t>(columns, 1);
-    }
-    return found;
   }
 };
 

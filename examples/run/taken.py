@@ -28,7 +28,7 @@ errors se3 options models client/__init__ client/messages
 hands/configuration hands/pad
 human/findings human/recording human/sample
 ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/command_time mapping/decomposition mapping/estimation
+mapping/alignment mapping/command_time mapping/estimation
 mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/hands_as_one mapping/mapper
 mapping/method mapping/moving_robot mapping/named_method mapping/palm mapping/readers
 mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step mapping/step
@@ -45,7 +45,6 @@ DATA = ("human/rules.json",)
 CHANGES = (
     ("handmap_qp", NAME),
     ("import pinocchio as pin", f"from {NAME} import rotations as pin"),
-    ("import daqp\n", ""),
     # numpy 2 has these.
     (".mT", ".swapaxes(-1, -2)"),
     ("np.vecdot(", 'np.einsum("...i,...i", '),
@@ -62,7 +61,7 @@ CONSTANTS = {
 # These run beside `handmap_qp`, whose objects they write down.
 BESIDE = ("command.py", "saving.py")
 # Imported where an option is used that no saved hand has: other formulations and solvers.
-UNUSED = ("ik.mink_problem", "ik.solvers")
+UNUSED = ("reference.inverse_kinematics", "reference.task_rows")
 # Names of a package that are in a file of `run`.
 ELSEWHERE = {"ik": {"PointIk": "saved"}}
 PACKAGES = ("human", "ik", "mapping", "stream", "trackers")

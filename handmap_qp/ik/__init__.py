@@ -12,7 +12,6 @@ from .qp import (
     PointIk,
     Status,
     result_of,
-    solve_by_daqp,
     wrist_error,
 )
 from .tasks import (
@@ -50,6 +49,5 @@ __all__ = [
     "gate",
     "pair_bounds",
     "result_of",
-    "solve_by_daqp",
     "wrist_error",
 ]

@@ -43,10 +43,11 @@ class IkOptions(Options, frozen=True):
         acceleration_weight: Cost of every joint's change of speed from sample to sample, times the
             time of the sample; likewise.
         formulation: How the QP is posed. `compiled`: by the compiled core, with a solver of its
-            own; with another solver than DAQP, as by `direct`. `direct`: in Python, the readable
-            reference. `mink`: by `mink.build_ik`, solved by `qpsolvers`. All have the same answers,
-            in 1, 10 and 40 times the time, but that the core alone takes detours.
-        solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
+            own; with another solver than DAQP, as by `direct`. `direct`: over Pinocchio, as the
+            published method (`handmap_qp.reference`). `mink`: likewise, by `mink.build_ik`. All
+            have the same answers, in 1, 10 and 40 times the time, but that the core alone takes
+            detours.
+        solver: `daqp`, `osqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: QPs of a sample, and three more where links would meet.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm].
         point_tolerance: Points, and a wrist that they go with, have arrived if they are nearer to

@@ -27,17 +27,13 @@ from numpy.typing import ArrayLike
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.models import DistancesModel, encode
-from handmap_core.se3 import Array, as_floats, lengths
+from handmap_core.se3 import Array, as_floats
 from handmap_qp.hands import AttachedPoints, Configuration, Hand
 from handmap_qp.plugins import Plugins
-from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:
     from handmap_core import _core
     from .motion import When
-
-_SHORTEST = 1e-9
-"""Distance below which two points have no direction from one to the other [m]."""
 
 
 class TaskRows(NamedTuple):
@@ -182,31 +178,14 @@ class PointDistances:
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row a pair, and three a pair of its curvature; see `Task.linearise`."""
-        positions = self.points.positions(hand)
-        offsets = positions[self.first] - positions[self.second]
-        apart = np.maximum(lengths(offsets), _SHORTEST)
-        # Points in one place have no direction: any will do to part them.
-        offsets[apart == _SHORTEST] = 0.0, 0.0, _SHORTEST
-        directions = (offsets / apart[:, None])[:, None]
-        # What moves both, such as a wrist, leaves their distance.
-        is_own = self.points.moved[self.first] != self.points.moved[self.second]
-        columns = self.points.velocities(hand)
-        levers = hand.contracted((columns[self.first] - columns[self.second]) * is_own)
-        turns = hand.contracted(hand.data.J[3:] * is_own)
-        weights = self.weights / LENGTH_UNIT
-        residual = weights * (apart - self.distances)
-        force = weights * residual
-        slopes = directions @ levers
-        # The second derivatives: of the offset's length, and of the offset along itself.
-        pulls = np.sqrt(np.maximum(force / apart, 0.0))[:, None, None]
-        across = pulls * (levers - directions.swapaxes(1, 2) * slopes)
-        bends = (directions @ np.cross(turns, levers, axis=1))[:, 0]
-        bends = np.maximum(force[:, None] * bends, 0.0)
-        rows = np.vstack([weights[:, None] * slopes[:, 0], *across.swapaxes(0, 1)])
-        return TaskRows(
-            np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
-        )
+        """Return a row a pair, and three a pair of its curvature; see `Task.linearise`.
+
+        The core has these rows itself. They are those of the published method, for subclasses and
+        other formulations.
+        """
+        from handmap_qp.reference.task_rows import distance_rows
+
+        return distance_rows(self, hand)
 
 
 class PointOffset(NamedTuple):
@@ -223,12 +202,10 @@ class PointOffset(NamedTuple):
     weight: float
 
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row an axis; see `Task.linearise`."""
-        positions = self.points.positions(hand)
-        first, other = self.points.jacobians(hand)
-        weight = self.weight / LENGTH_UNIT
-        residual = weight * (positions[1] - positions[0] - self.aim)
-        return TaskRows(residual, weight * (other - first))
+        """Return a row an axis; see `PointDistances.linearise`."""
+        from handmap_qp.reference.task_rows import offset_rows
+
+        return offset_rows(self, hand)
 
 
 class JointPositions(NamedTuple):

@@ -9,8 +9,7 @@ from .alignment import (
     rotation_onto,
 )
 from .command_time import check_dt, check_when, own_time
-from .decomposition import Decomposition, Primitives, decompose, polar, primitives
-from .estimation import MotionEstimate, MotionEstimator, estimate_motion
+from .estimation import MotionEstimate, MotionEstimator
 from .hand_mapper import HandMapper
 from .hand_pair import (
     KNUCKLES,
@@ -85,7 +84,6 @@ __all__ = [
     "Choice",
     "CoreMap",
     "Cylinder",
-    "Decomposition",
     "HandMapper",
     "HandPair",
     "HandRequest",
@@ -102,7 +100,6 @@ __all__ = [
     "PalmMethod",
     "Placement",
     "Preset",
-    "Primitives",
     "Reference",
     "RequestStep",
     "RobotCommand",
@@ -125,11 +122,9 @@ __all__ = [
     "check_joints",
     "check_when",
     "core_pose",
-    "decompose",
     "default_preset",
     "distance",
     "distances_to",
-    "estimate_motion",
     "find_alignment",
     "gap_task",
     "geometry_of",
@@ -142,11 +137,9 @@ __all__ = [
     "palm_of",
     "parse_object",
     "points_in_palm",
-    "polar",
     "possible_presets",
     "preset_choice",
     "preset_with",
-    "primitives",
     "read_options",
     "require_partners",
     "require_points",

@@ -1,26 +1,21 @@
-"""Estimate the linear motion T that carries one set of points to another (eqs. 5-6).
+"""Prepare the estimate of the linear motion T of points, and read its result (eqs. 5-6).
 
 The paper writes eq. (6) as one system of 3 n equations in 12 unknowns. Its rows decouple: all three
 rows of `A` share one (n, 3) system, which depends only on the points before the motion.
 `MotionEstimator` factors it once per reference configuration; every later sample costs a few small
-products. With `ridge = 0` the solution is exactly the paper's.
+products, which the compiled core computes. With `ridge = 0` the solution is exactly the paper's.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from handmap_core.errors import DegeneratePointsError, expect
+from handmap_core.errors import DegeneratePointsError
 from handmap_core.models import EstimatorModel
 from handmap_core.se3 import (
     Array,
     ArrayStruct,
     affine,
-    as_floats,
-    as_points,
-    check_pose,
     frozen,
     lengths,
-    nearest_rotation,
 )
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
@@ -55,7 +50,7 @@ class MotionEstimate(ArrayStruct, frozen=True):
     @property
     def motion(self) -> Array:
         """The homogeneous transformation T, active, shape (..., 4, 4)."""
-        return affine(self.linear, self.image(np.zeros(3)))
+        return about(self.linear, self.centroid_before, self.centroid_after)
 
     @property
     def residual_vectors(self) -> Array:
@@ -84,7 +79,7 @@ class MotionEstimator:
         points: Reference points [m], shape (n, 3).
         weights: Weight of each point, shape (n,); equal if omitted.
         ridge: Pull of `A` towards the prior rotation; 0 is eq. (6) of the paper.
-        has_prior: True if `estimate` will always be given a prior rotation, which makes any points
+        has_prior: True if every estimate will have a prior rotation, which makes any points
             usable with a ridge.
 
     Attributes:
@@ -162,29 +157,6 @@ class MotionEstimator:
                 singular_values=self._singular_values,
             )
 
-    def estimate(
-        self, points_after: Array, prior: Array | None = None
-    ) -> MotionEstimate:
-        """Fit the motion to the points' present positions.
-
-        Args:
-            points_after: The same points now [m], shape (..., n, 3), finite.
-            prior: Prior rotation R0, shape (..., 3, 3); the weighted Kabsch fit of the points if
-                omitted.
-
-        Returns:
-            The estimate.
-        """
-        centroid = self.shares @ points_after
-        centred = points_after - centroid[..., None, :]
-        linear = (self.gain @ centred).mT
-        if self.ridge != 0.0:
-            if prior is None:
-                covariance = (self.centred.T * self.shares) @ centred
-                prior = nearest_rotation(covariance.mT)
-            linear = linear + prior @ self.prior_gain
-        return self.estimate_of(linear, centroid, points_after)
-
     def estimate_of(
         self, linear: Array, centroid: Array, points_after: Array
     ) -> MotionEstimate:
@@ -199,50 +171,6 @@ class MotionEstimator:
         )
 
 
-def estimate_motion(
-    points_before: ArrayLike,
-    points_after: ArrayLike,
-    *,
-    weights: ArrayLike | None = None,
-    ridge: float = 0.0,
-    prior: ArrayLike | None = None,
-) -> MotionEstimate:
-    """Estimate the linear motion T with `points_after = T points_before`.
-
-    Eqs. (5)-(6), weighted, with an optional ridge.
-
-    Args:
-        points_before: Reference points before the motion [m], shape (n, 3).
-        points_after: The same points after it [m], shape (n, 3).
-        weights: Weight of each point, shape (n,); equal if omitted.
-        ridge: Pull towards the prior rotation, without unit; 0 is eq. (6) of the paper, 0.1 suits
-            fingertips.
-        prior: Prior rotation, shape (3, 3); the Kabsch fit of the same points if omitted.
-
-    Returns:
-        The motion with its fit residuals and the singular values of the points.
-
-    Raises:
-        InvalidInputError: On wrong shapes or non-finite numbers.
-        DegeneratePointsError: If the points cannot determine T; carries the singular values.
-    """
-    before = as_points(points_before, "points_before")
-    after = as_points(points_after, "points_after")
-    expected = f"{len(before)} points as in points_before"
-    is_same = len(after) == len(before)
-    expect(is_same, "points_after", expected, got=f"{len(after)}")
-    shares = None
-    if weights is not None:
-        shares = as_floats(weights, "weights", shape=(len(before),), is_finite=True)
-        is_usable = shares.min() >= 0.0 and shares.max() > 0.0
-        expected = f"{len(before)} numbers >= 0, not all zero"
-        expect(is_usable, "weights", expected, value=weights)
-    pull = float(as_floats(ridge, "ridge", shape=(), is_finite=True))
-    expect(pull >= 0.0, "ridge", "a number >= 0", value=ridge)
-    estimator = MotionEstimator(
-        before, weights=shares, ridge=pull, has_prior=prior is not None
-    )
-    if prior is None:
-        return estimator.estimate(after)
-    turn = affine(as_floats(prior, "prior", shape=(3, 3)))
-    return estimator.estimate(after, check_pose(turn, "prior")[:3, :3])
+def about(linear: Array, point: Array, image: Array) -> Array:
+    """Return the motion `x -> linear (x - point) + image`, shape (..., 4, 4)."""
+    return affine(linear, image - linear @ point)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import cached_property
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
@@ -144,15 +145,38 @@ class TargetMap(Protocol):
         """Return the targets of one sample; a failure changes nothing."""
 
 
+def without_core(target_map: object) -> dict[str, object]:
+    """Return the attributes of a map but the core's own, which a copy makes again."""
+    own = core.TargetMap, core.PalmMap
+    return {
+        name: value
+        for name, value in vars(target_map).items()
+        if not isinstance(value, own)
+    }
+
+
 class CoreMap:
-    """Base of target maps that the core has too."""
+    """Base of target maps whose formulas the core has."""
+
+    @cached_property
+    def core_map(self) -> core.TargetMap:
+        """The map as the core has it, made at its first use."""
+        return self.make_core()
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state of a copy."""
+        return without_core(self)
+
+    def targets(self, sample: HumanPose) -> Targets:
+        """Return the targets of one sample, computed by the core; see `TargetMap`."""
+        return self.targets_of(*self.core_map.targets(core_pose(sample)))
 
     def make_core(self) -> core.TargetMap:
         """Return the map as the core has it."""
         raise NotImplementedError
 
     def targets_of(self, parts: list[Array], is_clamped: bool) -> Targets:
-        """Return the targets whose arrays the core has computed.
+        """Return the targets whose arrays the core or the published method has computed.
 
         Args:
             parts: The arrays: points, wrist, and what the map of the core adds to them.

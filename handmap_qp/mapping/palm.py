@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.models import PalmModel
+from handmap_core.models import PalmModel, encode
 from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from handmap_qp.hands import Hand
 from .alignment import AlignedOptions, rotation_of
-from .method import AnyPose, HumanPose, RobotPosture, TargetMap
+from .method import AnyPose, HumanPose, RobotPosture, TargetMap, without_core
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -118,6 +120,15 @@ class PalmMap:
         self.robot_anchor = robot_anchor
         self.further = scale - 1.0
 
+    @cached_property
+    def core_palm(self) -> core.PalmMap:
+        """How the palm follows, as the core has it, made at its first use."""
+        return core.PalmMap(encode(self.palm_model()))
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state of a copy."""
+        return without_core(self)
+
     def palm_model(self) -> PalmModel:
         """Return what the core follows the palm by."""
         return PalmModel(
@@ -144,14 +155,7 @@ class PalmMap:
         """
         human = self._method.palm_of(sample)
         points = transform_points(inverse_pose(human), sample.points)
-        if self.is_still:
-            return human, self.start, points
-        origin = transform_points(human, self.origin) + self.offset
-        moved = transform_points(human, self.human_anchor) - self.human_start
-        origin += self.further * moved
-        Q = self.alignment
-        palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
-        return human, palm, points
+        return human, self.core_palm.follow(human), points
 
     @property
     def world(self) -> Array:
@@ -166,9 +170,8 @@ class PalmMap:
 
         Its place is times the scale.
         """
-        palm = self._method.palm_of(sample)
-        anchor = (1.0 + self.further) * transform_points(palm, self.human_anchor)
-        return affine(self.alignment @ palm[:3, :3], self.alignment @ anchor)
+        assert sample.wrist is not None
+        return self.core_palm.person_at(sample.wrist)
 
     def placed(self, palm: Array, points: Array) -> tuple[Array, Array]:
         """Return the targets of points in the robot's palm, and of its wrist.

@@ -15,15 +15,16 @@ import handmap_qp
 
 FILE = Path(handmap_qp.__file__)
 PACKAGES = (
-    *("hands", "human", "ik", "mapping", "stream", "trackers", "client"),
+    *("hands", "human", "ik", "mapping", "reference", "stream"),
+    *("trackers", "client"),
     *("apps.drawing", "apps.onboarding"),
 )
 HEAVY = {"numpy", "pinocchio", "coal", "daqp", "mujoco", "scipy", "yaml", "msgspec"}
 
 
-def loaded_by(statement: str) -> set[str]:
-    """Return the modules of a fresh interpreter after a statement."""
-    code = f"import json, sys; {statement}; print(json.dumps([*sys.modules]))"
+def loaded_by(statements: str) -> set[str]:
+    """Return the modules of a fresh interpreter after statements."""
+    code = f"import json, sys\n{statements}\nprint(json.dumps([*sys.modules]))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
@@ -95,3 +96,19 @@ def test_a_mapping_loads_neither_simulation_nor_other_solvers() -> None:
         "matplotlib",
         "trimesh",
     }
+
+
+@pytest.mark.slow
+def test_a_mapping_by_the_core_loads_no_published_method() -> None:
+    # Tasks of users, and samples without a wrist pose, do not need it either.
+    loaded = loaded_by("""
+import numpy as np
+from handmap_qp import AttachedPoints, HandMapper, PointDistances, load_hand
+human, robot = load_hand("human"), load_hand("three_finger")
+task = PointDistances(AttachedPoints.reference_points(robot), [(0, 1)], 0.05)
+for preset in ("teleoperation", "paper"):
+    mapper = HandMapper(human, robot, preset, tasks=[task])
+    mapper.map_step(human.rest, np.eye(4))
+mapper.map_points(human.points(human.rest))
+""")
+    assert not {name for name in loaded if name.startswith("handmap_qp.reference")}

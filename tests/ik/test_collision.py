@@ -26,7 +26,8 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.reference.daqp_solver import solve_by_daqp
 
 DT = 1.0 / 60.0
 AVOIDING = IkOptions(avoids_self_collision=True)

@@ -18,8 +18,10 @@ from handmap_core.core import core
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
+    Homogeneous,
     IkOptions,
     PointDistances,
+    PublishedMethod,
     TaskRows,
     Teleoperation,
     hand_names,
@@ -30,9 +32,10 @@ from handmap_qp.hands.collision_shapes import shape_model
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.models import encode
+from handmap_qp.reference.daqp_solver import solve_by_daqp
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
@@ -54,9 +57,12 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
     if preset == "fixed_wrist" or not chosen.suits(HUMANS[robot.side], robot):
         options = options.replaced(max_acceleration=60.0)
     reference = options.replaced(formulation="direct")
+    method = chosen.method
+    if isinstance(method, Homogeneous | Teleoperation):
+        method = PublishedMethod(method)
     try:
         fast = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=options)
-        slow = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=reference)
+        slow = HandMapper(HUMANS[robot.side], robot, method, ik=reference)
     except ValueError as error:
         pytest.skip(str(error))
     assert fast.point_ik.is_compiled

@@ -23,8 +23,9 @@ from pseudoinverse import PseudoinverseIk, weighted_task
 from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Goal
+from handmap_qp.reference.daqp_solver import solve_by_daqp
 
 PLAIN = IkOptions(error_damping=0.0, has_velocity_limits=False, max_iterations=1)
 # Below this singular value of the weighted task a direction counts as lost: eq. (8) takes steps of

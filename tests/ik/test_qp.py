@@ -30,9 +30,10 @@ from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.limits import box_limits
 from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
-from handmap_qp.ik.solvers import make_solver
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.options import Option, options_of
+from handmap_qp.reference.daqp_solver import solve_by_daqp
+from handmap_qp.reference.solvers import make_solver
 
 ARM = arm_hand()
 HAND = load_hand("three_finger", mount="floating")

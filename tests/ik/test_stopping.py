@@ -240,7 +240,9 @@ def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hand, rng, dt = case.hand, np.random.default_rng(7), 0.2
-    ik, found = PointIk(hand, IkOptions(max_iterations=1), contacts=case.pairs), 0
+    options = IkOptions(max_iterations=1, formulation="direct")
+    ik, found = PointIk(hand, options, contacts=case.pairs), 0
+    assert ik.reference
     while found < 5:
         q, joint = case.random_q(rng), rng.integers(len(hand.joint_names))
         q[joint] = np.nextafter(hand.upper_limits[joint], np.inf)
@@ -253,7 +255,7 @@ def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
             continue
         found += 1
         ik.place(start)
-        monkeypatch.setattr(ik, "_solver", lambda *_, step=step: step)
+        monkeypatch.setattr(ik.reference, "solver", lambda *_, step=step: step)
         ik.solve(ik.configuration.points.copy(), None, dt)
         end = ik.configuration.q
         assert min(case.nearest(end), case.nearest_between(start, end)) > -TOLERANCE

@@ -20,10 +20,11 @@ from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.mink_problem import Term, build_problem
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
-from handmap_qp.ik.solvers import solve_problem
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Goal
+from handmap_qp.reference.daqp_solver import solve_by_daqp
+from handmap_qp.reference.mink_problem import Term, build_problem
+from handmap_qp.reference.solvers import solve_problem
 
 ONE_STEP = IkOptions(max_iterations=1)
 # All weights differ, so that a wrong one is noticed.

@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import HandMapper, MapStep, load_hand
-from handmap_qp.ik.qp import point_rows
 from handmap_qp.mapping.presets import get_preset
+from handmap_qp.reference.problem import point_rows
 
 HUMAN = load_hand("human", points="landmarks")
 DT = 1.0 / 60.0

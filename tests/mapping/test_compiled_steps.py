@@ -12,10 +12,13 @@ import pytest
 from handmap_qp import (
     HandmapError,
     HandMapper,
+    Homogeneous,
     HumanSample,
     IkOptions,
     InvalidInputError,
     MapStep,
+    PublishedMethod,
+    Teleoperation,
     load_hand,
     read_recording,
 )
@@ -31,7 +34,9 @@ def pair(preset: str = "teleoperation") -> tuple[HandMapper, HandMapper]:
     """Return a mapper in the core and one in Python, both after their first sample."""
     method, ik, *_ = get_preset(preset)
     fast = HandMapper(HUMAN, ROBOT, method, ik=ik)
-    slow = HandMapper(HUMAN, ROBOT, method, ik=ik.replaced(formulation="direct"))
+    assert isinstance(method, Homogeneous | Teleoperation)
+    published = PublishedMethod(method)
+    slow = HandMapper(HUMAN, ROBOT, published, ik=ik.replaced(formulation="direct"))
     for mapper in (fast, slow):
         mapper.map_landmarks(LANDMARKS[0])
     assert fast.core is not None

@@ -19,7 +19,7 @@ from strategies import (
 )
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.mapping.decomposition import decompose, polar, primitives
+from handmap_qp.reference.decomposition import decompose, polar, primitives
 from handmap_qp.se3 import rotation_from_quat_wxyz, transform_points
 
 any_motions = affine_motions(mirrored=None)

@@ -22,7 +22,7 @@ from strategies import (
 )
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.reference.estimation import estimate_motion
 from handmap_qp.se3 import transform_points
 
 ridges = st.floats(min_value=1e-6, max_value=1e3)

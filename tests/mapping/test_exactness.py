@@ -21,8 +21,8 @@ from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand, read_re
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.mapping.decomposition import polar
-from handmap_qp.mapping.estimation import MotionEstimator
+from handmap_qp.mapping import MotionEstimator
+from handmap_qp.reference import estimate, polar
 
 # No term pulls away from the targets, there is no speed limit, and time suffices to arrive. The
 # damping by the error, zero at the end, keeps a finger from overshooting into the posture that
@@ -284,7 +284,7 @@ def test_a_ridge_bounds_the_stretch_of_recorded_fingertips_and_none_does_not(
         for ridge, found in stretches.items():
             estimator = MotionEstimator(tips[0], ridge=ridge)
             found += [
-                polar(estimator.estimate(points).motion[:3, :3]).stretches
+                polar(estimate(estimator, points).motion[:3, :3]).stretches
                 for points in tips[::5]
             ]
     free, held = np.array(stretches[0.0]), np.array(stretches[0.1])

@@ -27,14 +27,22 @@ from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair, resting_posture, robot_fingers
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.mapping.methods.teleoperation import (
-    BoundTeleoperation,
-    TeleoperationMap,
-    smoothstep,
-)
+from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
-from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
+from handmap_qp.reference.estimation import estimate
+from handmap_qp.reference.teleoperation_targets import (
+    moved_points,
+    pinch_shares,
+    row_aims,
+)
+from handmap_qp.se3 import (
+    affine,
+    inverse_pose,
+    rotation_from_rpy,
+    smoothstep,
+    transform_points,
+)
 
 HUMAN = load_hand("human")
 LANDMARKS = load_hand("human", points="landmarks")
@@ -476,7 +484,7 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
         points[pair.tips] - points[pair.knuckles], axis=1
     )
     thumb = pair.fingers.index(THUMB)
-    asked = method.aims(distances)[thumb] / pair.robot_reach[thumb]
+    asked = row_aims(method.model, distances)[thumb] / pair.robot_reach[thumb]
     shares = []
     for weight in (0.0, 2.5, 10.0):
         choices = Teleoperation(thumb_extension_weight=weight, pinch_weight=0.0)
@@ -496,7 +504,9 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
     method = BoundTeleoperation(Teleoperation(), HUMAN, load_hand(name))
     pair = method.pair
     narrow = np.full(len(method.model.aim_slopes), 0.06)
-    grown = (method.aims(narrow + 0.01) - method.aims(narrow))[len(pair.fingers) :]
+    grown = (row_aims(method.model, narrow + 0.01) - row_aims(method.model, narrow))[
+        len(pair.fingers) :
+    ]
     ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
     assert len(grown) > 0
     np.testing.assert_allclose(grown, 0.01 * ratio, rtol=0.0, atol=1e-12)
@@ -507,8 +517,8 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
 def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() -> None:
     method = BoundTeleoperation(Teleoperation(), HUMAN, ALLEGRO)
     count = len(method.pair.fingers)
-    shortest = method.aims(np.zeros(len(method.model.aim_slopes)))
-    longest = method.aims(np.full(len(method.model.aim_slopes), 1.0))
+    shortest = row_aims(method.model, np.zeros(len(method.model.aim_slopes)))
+    longest = row_aims(method.model, np.full(len(method.model.aim_slopes), 1.0))
     np.testing.assert_array_equal(longest[:count], method.pair.robot_reach)
     assert (shortest[:count] >= 0.0).all()
     assert (shortest[count:] > 0.0).all()
@@ -519,17 +529,16 @@ def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() ->
 def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
     method = BoundTeleoperation(Teleoperation(residual_gain=gain), HUMAN, ALLEGRO)
     pair = method.pair
-    still = method.estimator.estimate(pair.human_rest[pair.shape_points])
-    posture = RobotPosture(ALLEGRO.rest, method.robot.points(ALLEGRO.rest), np.eye(4))
-    sample = HumanPose(HUMAN.points(HUMAN.rest), np.eye(4))
-    mapped = TeleoperationMap(method, sample, posture)
+    still = estimate(method.estimator, pair.human_rest[pair.shape_points])
     bent = pair.human_rest.copy()
     bent[pair.partners[0]] += 0.01, -0.02, 0.03
     # T is the same in both, so only the residual of one point moves its partner.
-    moved = mapped._moved(still, bent) - mapped._moved(still, pair.human_rest)
+    moved, unmoved = (
+        moved_points(method.model, still, points) for points in (bent, pair.human_rest)
+    )
     shift = gain * pair.finger_ratio * np.array([0.01, -0.02, 0.03])
-    np.testing.assert_allclose(moved[0], shift, rtol=0.0, atol=1e-12)
-    assert abs(moved[1:]).max() < 1e-12
+    np.testing.assert_allclose(moved[0] - unmoved[0], shift, rtol=0.0, atol=1e-12)
+    assert abs(moved[1:] - unmoved[1:]).max() < 1e-12
     assert abs(pair.finger_ratio - 1.0) > 0.1
 
 
@@ -663,7 +672,7 @@ def test_picking_changes_rows_in_proportion_and_of_jaws_no_ratio() -> None:
     jaws = BoundTeleoperation(Teleoperation(picking=1.0), HUMAN, gripper)
     np.testing.assert_array_equal(jaws.model.aim_slopes[len(jaws.pair.fingers) :], 1.0)
     # They follow a gap of any size.
-    assert jaws.pinching(np.array([0.5])) == 1.0
+    assert pinch_shares(jaws.model, np.array([0.5])) == 1.0
 
 
 def test_each_constant_of_picking_is_that_of_its_end() -> None:
@@ -676,7 +685,7 @@ def test_each_constant_of_picking_is_that_of_its_end() -> None:
         (gestures, (0.07, 0.045, 0.02)),
         (objects, (0.2, 0.125, 0.05)),
     ):
-        shares = method.pinching(np.array(gaps))
+        shares = pinch_shares(method.model, np.array(gaps))
         np.testing.assert_allclose(shares, (0.0, 0.5, 1.0), atol=1e-12)
     # The thumb's extension counts half; others as before.
     halves = [0.5 if name == THUMB else 1.0 for name in gestures.pair.fingers]
@@ -687,9 +696,9 @@ def test_each_constant_of_picking_is_that_of_its_end() -> None:
     deeper = gestures.model.least_aims - objects.model.least_aims
     np.testing.assert_allclose(deeper[rows], 0.004, atol=1e-12)
     lengths = np.full(len(weights) + len(gestures.pinched), 0.013 + 0.012)
-    closed = objects.aims(lengths)[rows]
+    closed = row_aims(objects.model, lengths)[rows]
     np.testing.assert_allclose(closed, objects.model.least_aims[rows], atol=1e-12)
-    assert (objects.aims(lengths + 0.002)[rows] > closed + 0.002).all()
+    assert (row_aims(objects.model, lengths + 0.002)[rows] > closed + 0.002).all()
 
 
 def test_a_hand_like_the_persons_does_the_same_whatever_picking_is() -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands import AttachedPoints, Hand, moved_by
-from handmap_qp.ik import solve_by_daqp
+from handmap_qp.reference.daqp_solver import solve_by_daqp
 from handmap_qp.se3 import Array
 
 _MOST_STEPS = 50

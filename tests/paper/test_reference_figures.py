@@ -10,8 +10,8 @@ import pytest
 from strategies import motion_of
 
 from handmap_qp.errors import DegeneratePointsError
-from handmap_qp.mapping.decomposition import decompose
-from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.reference.decomposition import decompose
+from handmap_qp.reference.estimation import estimate_motion
 from handmap_qp.se3 import transform_points
 
 FULL_RANK = ("big_syn1_arc_rot30", "exact_affine", "four_points_syn1_full")

@@ -18,7 +18,6 @@ from run_cases import SOURCES, module_of
             lambda old: (*old, ("np.vecdoc(", "")),
             r"no file has 'np\.vecdoc\('",
         ),
-        ("CHANGES", lambda old: old[:2] + old[3:], "ik/qp.py imports daqp"),
         ("CHANGES", lambda old: old[:1] + old[2:], "imports pinocchio"),
         ("CONSTANTS", lambda old: old | {"se3": ("HOME",)}, "se3.py has no HOME"),
         ("TAKEN", lambda old: f"{old} ik/gone", "ik/gone.py any more"),

@@ -39,8 +39,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf, set_numbers
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.mapping.decomposition import decompose
-from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.reference.decomposition import decompose
+from handmap_qp.reference.estimation import estimate_motion
 from handmap_qp.se3 import affine, rigid_fit
 
 FingerMode = Literal["pseudoinverse", "clipped", "damped", "qp", "frozen"]

@@ -29,8 +29,9 @@ from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.motion import SHORTEST_DT, Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk, direct_cost
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Goal, Task
+from handmap_qp.reference.problem import direct_cost
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """

@@ -28,8 +28,10 @@ from handmap_qp.ik.collision import Rows
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion, When
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk, point_rows, wrist_rows
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Goal
+from handmap_qp.reference import ReferenceIk
+from handmap_qp.reference.problem import point_rows, wrist_rows
 
 RANK_TOLERANCE = 1e-10
 """Without damping, singular values below this share of the largest count as zero."""
@@ -84,21 +86,42 @@ class PseudoinverseIk(PointIk):
             raise InvalidOptionsError(
                 option="limits", expected="'none' or 'clip'", value=limits
             )
-        super().__init__(hand, options.replaced(formulation="direct"))
-        self._damping = damping
+        super().__init__(hand, options)
         if limits == "none":
             self.gate = _NoLimits(hand, self.gate.motion)
             self.core = self.gate.core
-        regularisation = np.full(self.configuration.nv, options.damping**2)
-        regularisation[hand.joint_columns] += options.rest_weight**2
-        self._scale = 1.0 / np.sqrt(regularisation)
+        self.reference = self._eq_8 = _Eq8(hand, options, self.gate, damping)
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration (nq,), at rest, from where `step` steps."""
         super().place(q)
-        self._configuration.place(q)
+        self._eq_8.configuration.place(q)
 
     def step(self, goal: Goal) -> np.ndarray:
+        """Return the step of eq. (8) where the hand was placed; see `_Eq8.displacement`."""
+        return self._eq_8.displacement(goal)
+
+
+class _Eq8(ReferenceIk):
+    """Steps by eq. (8) in place of the QP.
+
+    Args:
+        hand: The hand.
+        options: Weights and settings.
+        gate: The gate of the hand.
+        damping: As of `PseudoinverseIk`.
+    """
+
+    def __init__(
+        self, hand: Hand, options: IkOptions, gate: IkGate, damping: float
+    ) -> None:
+        super().__init__(hand, options, gate)
+        self._damping = damping
+        regularisation = np.full(self.configuration.nv, options.damping**2)
+        regularisation[hand.joint_columns] += options.rest_weight**2
+        self._scale = 1.0 / np.sqrt(regularisation)
+
+    def displacement(self, goal: Goal) -> np.ndarray:
         """Return the step of eq. (8) at the present configuration.
 
         Args:
@@ -112,7 +135,7 @@ class PseudoinverseIk(PointIk):
                 infinities or NaN.
         """
         hand = self.hand
-        configuration = self._configuration
+        configuration = self.configuration
         wrist = None if goal.wrists is None else pin.SE3(goal.wrists[0])
         A, b = weighted_task(hand, self.options, configuration, goal.points, wrist)
         U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
@@ -130,16 +153,17 @@ class PseudoinverseIk(PointIk):
         along = inverse * (U.T @ b + s * (Vt @ homogeneous))
         return self._scale * (homogeneous - Vt.T @ along)
 
-    def _step(
+    def step(
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> tuple[np.ndarray | None, np.ndarray]:
+        """Return the step and no slope; see `ReferenceIk.step`."""
         if goal.tasks:
             raise InvalidOptionsError(
                 option="tasks", problem="eq. (8) has no further tasks"
             )
         still = np.zeros(len(lower))
         try:
-            step = self.step(goal)
+            step = self.displacement(goal)
         except np.linalg.LinAlgError:
             return None, still
         return step if np.isfinite(step).all() else None, still

@@ -253,7 +253,7 @@ class TargetMap {
   }
 };
 
-// See methods.teleoperation.TeleoperationMap.
+// See methods.teleoperation.TeleoperationMap; reference/teleoperation_targets.py has it in Python.
 class TeleoperationMap : public TargetMap {
  public:
   TeleoperationMap(TeleoperationModel model, PalmMap palm)
@@ -336,7 +336,7 @@ class TeleoperationMap : public TargetMap {
   const DistanceTask distances_;
 };
 
-// See methods.homogeneous.HomogeneousMap.
+// See methods.homogeneous.HomogeneousMap; reference/targets.py has it in Python.
 class HomogeneousMap : public TargetMap {
  public:
   explicit HomogeneousMap(const HomogeneousModel& model)

@@ -30,7 +30,8 @@ from handmap_core.se3 import (
 )
 from handmap_qp.apps.tables import rows_of
 from handmap_qp.hands import THUMB, Hand, PalmKinematics, Values, find_fingers
-from handmap_qp.mapping import MotionEstimator, polar
+from handmap_qp.mapping import MotionEstimator
+from handmap_qp.reference import estimate, polar
 from .hand_trace import (
     KNUCKLE,
     MIDDLE,
@@ -367,7 +368,7 @@ def _object_motion(hand: HandTrace) -> tuple[Array, Array, Array]:
     points = hand.points[:, :, MIDDLE:].reshape(len(hand.points), -1, 3)
     points = points @ hand.palm[0, :3, :3]
     estimator = MotionEstimator(points[0], ridge=OBJECT_RIDGE)
-    factors = polar(estimator.estimate(points).motion[:, :3, :3])
+    factors = polar(estimate(estimator, points).motion[:, :3, :3])
     stretches = factors.stretch(np.log(np.maximum(factors.stretches, 1e-6)))
     centroids = points.mean(axis=1)
     return factors.rotation, stretches, centroids - centroids[0]

@@ -7,11 +7,14 @@
 
 The targets of the points are `T_def^r T_rb^r s`, that of the wrist is `T_rb^r X`. `c_h` and `c_r`
 are the pivots, `Q` the rotation from the human's world axes to the robot's.
+
+This module prepares the formulas for two hands and a reference. The compiled core computes them for
+every sample (`handmap/targets.hpp`); `handmap_qp.reference` has them to read, and to compare with.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -38,7 +41,7 @@ from handmap_qp.mapping import (
     require_partners,
     rotation_of,
 )
-from handmap_qp.mapping.decomposition import about, polar
+from handmap_qp.mapping.estimation import about
 
 
 class HomogeneousMap(CoreMap):
@@ -51,7 +54,7 @@ class HomogeneousMap(CoreMap):
         human = method.human
         hand = method.robot
         self.options = options
-        self.human_wrist: Any = sample.wrist
+        self.human_wrist = sample.wrist
         # A chain of references has no posture to come back to but the hand's own.
         self.rest = hand.rest if method.renews_reference else robot.q
         self.estimator = MotionEstimator(
@@ -115,44 +118,10 @@ class HomogeneousMap(CoreMap):
             share=self.share,
         )
 
-    def targets(self, sample: HumanPose) -> Targets:
-        """Estimate T, split it about the pivot, and impose both parts on the robot."""
-        options = self.options
-        pivot = self.pivot
-        Q = self.alignment
-        moved = turn = None
-        if options.rigid_from == "wrist":
-            assert sample.wrist is not None
-            moved = sample.wrist @ inverse_pose(self.human_wrist)
-            turn = moved[:3, :3]
-        estimate = self.estimator.estimate(sample.points, turn)
-        image = estimate.image(pivot)
-        factors = polar(estimate.linear)
-        stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
-        is_clamped = not np.array_equal(stretches, factors.stretches)
-        rotation = factors.rotation
-        linear = factors.stretch(stretches**options.deformation_gain) @ rotation
-        rigid_image = image
-        if options.rigid_from == "none":
-            moved = np.eye(4)
-        if moved is not None:
-            rotation = moved[:3, :3]
-            rigid_image = transform_points(moved, pivot)
-        points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
-        # The residual refers to the imposed motion, so it makes up for clamping and gain.
-        residual = sample.points - (self.human_offsets.dot(linear.T) + image)
-        points += self.share.dot(residual) @ Q.T
-        wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
-            self.robot_wrist
-        )
-        fit = estimate.linear, estimate.centroid_after, sample.points
-        results = linear, rotation, rigid_image, image, factors.stretches
-        return self.targets_of([points, wrist, *fit, *results], is_clamped)
-
     def targets_of(self, parts: list[Array], is_clamped: bool) -> Targets:
-        """Return the targets whose arrays were computed here or by the core.
+        """Return the targets whose arrays were computed; T_def has clamping and gain.
 
-        T_def has clamping and gain.
+        See `CoreMap.targets_of`.
         """
         points, wrist, *fit, linear, rotation, rigid_image, image, stretches = parts
         estimate = self.estimator.estimate_of(*fit)
@@ -166,10 +135,6 @@ class HomogeneousMap(CoreMap):
         }
         flags = ("stretch_clamped",) if is_clamped else ()
         return Targets(points, wrist, found, flags=flags)
-
-    def _placed(self, image: Array) -> Array:
-        """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
-        return self.origin + self.options.scale * self.alignment.dot(image)
 
 
 _NEEDING_WRIST = [("pivot", "palm"), ("reference", "rest"), ("alignment", "palm")]

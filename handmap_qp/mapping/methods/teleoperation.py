@@ -5,6 +5,9 @@ robot's matched posture. What T cannot express, each finger's residual, goes to 
 robot in full, scaled by the ratio of reaches. Away from a pinch, fingers are turned to point as the
 human's do. Distance rows in the same QP show what positions cannot: how far each finger is
 extended, and that thumb and finger touch. Contact rows keep links apart.
+
+This module prepares the formulas for two hands and a reference. The compiled core computes them for
+every sample (`handmap/targets.hpp`); `handmap_qp.reference` has them to read, and to compare with.
 """
 
 from __future__ import annotations
@@ -25,7 +28,6 @@ from handmap_core.se3 import (
     inverse_pose,
     lengths,
     mirror_sign,
-    smoothstep,
     transform_points,
 )
 from handmap_qp.hands import (
@@ -45,7 +47,6 @@ from handmap_qp.mapping import (
     AlignedOptions,
     CoreMap,
     HumanPose,
-    MotionEstimate,
     MotionEstimator,
     PalmMap,
     PalmMethod,
@@ -87,7 +88,7 @@ finger's [m], and the share of each pinch row's weight, (p,) both; and shares of
 
 
 class TeleoperationMap(CoreMap, PalmMap):
-    """From samples to targets; see `TargetMap`. `model` has what `targets` computes with."""
+    """From samples to targets; see `TargetMap`. `model` has what they are computed with."""
 
     def __init__(
         self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
@@ -103,43 +104,8 @@ class TeleoperationMap(CoreMap, PalmMap):
         """Return this map as the core has it."""
         return core.TeleoperationMap(self.method.model_bytes, encode(self.palm_model()))
 
-    def targets(self, sample: HumanPose) -> Targets:
-        """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
-        method = self.method
-        model = self.model
-        human_palm, palm, now = self.follow(sample)
-        shape = now[model.shape_points]
-        estimate = method.estimator.estimate(shape)
-        distances = lengths(now[model.to_points] - now[model.from_points])
-        extensions, gaps = np.split(distances, [len(model.human_reach)])
-        pinching = method.pinching(gaps)
-        pinches = model.pinch_weight * pinching
-        points = self._moved(estimate, now)
-        # Away from a pinch, fingers point as the human's do.
-        closing = np.append(pinching.max(initial=0.0), pinching)
-        closing = closing.take(model.finger_of, mode="clip")
-        shares = model.directions * (1.0 - (1.0 - model.likeness) * closing)
-        vectors = now[model.partners] - now[model.starts]
-        led = model.bases + model.ratios[:, None] * vectors
-        led += model.carried[:, None] * now[model.starts]
-        points += shares[:, None] * (led - points)
-        parts = [
-            *self.placed(palm, points),
-            method.aims(distances),
-            np.append(model.extension_weights, pinches),
-            method.margins(gaps),
-            estimate.linear,
-            estimate.centroid_after,
-            shape,
-            human_palm,
-            gaps,
-            pinching,
-            extensions / model.human_reach,
-        ]
-        return self.targets_of(parts)
-
     def targets_of(self, parts: list[Array], is_clamped: bool = False) -> Targets:
-        """Return the targets whose arrays were computed here or by the core.
+        """Return the targets whose arrays were computed; see `CoreMap.targets_of`.
 
         T is estimated in palm axes, from the human's rest posture. In the world, that posture lies
         at the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
@@ -169,22 +135,6 @@ class TeleoperationMap(CoreMap, PalmMap):
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
             regularisation=self.model.regularisation,
-        )
-
-    def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
-        """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
-
-        With s the robot's points and c_r their centre, x and y the human partners at rest and now,
-        c and c' the centroids, k the ratio of reaches and g the gain:
-        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
-        """
-        model = self.model
-        shift = estimate.centroid_after
-        followed = model.offsets @ estimate.linear.T + model.robot_centre
-        return (
-            followed
-            + model.ratio * (shift - estimate.centroid_before)
-            + model.gain * (now[model.partners] - shift)
         )
 
 
@@ -360,31 +310,6 @@ class BoundTeleoperation(PalmMethod):
             "pinch_of_pair": pinches,
             "pinch_margins": _CONTACT_MARGIN + np.array(covers).take(pinches),
         }
-
-    def aims(self, distances: Array) -> Array:
-        """Return the wanted distance of each row for the human's, shape (k,) both."""
-        model = self.model
-        aims = model.aim_slopes * distances + model.aim_offsets
-        return np.clip(aims, model.least_aims, model.largest_aims)
-
-    def pinching(self, gaps: Array) -> Array:
-        """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
-
-        It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
-        """
-        return smoothstep((self.model.pinch_from - gaps) / self.model.pinch_over)
-
-    def margins(self, gaps: Array) -> Array:
-        """Return the margin of every contact pair at the human's gaps [m], shape (k,).
-
-        That between thumb and finger widens with the gap, so that nothing touches.
-        """
-        model = self.model
-        wide = model.contact_slope * (gaps - model.contact_from)
-        wide = np.clip(wide, 0.0, model.contact_most)
-        margins = model.base_margins.copy()
-        margins[model.pinch_pairs] = model.pinch_margins + wide[model.pinch_of_pair]
-        return margins
 
 
 _Weight = Annotated[float, number(high=1e3)]

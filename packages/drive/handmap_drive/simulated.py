@@ -14,8 +14,8 @@ from handmap_qp.hands import (
     pair_ends,
     paired,
 )
-from handmap_qp.ik import solve_by_daqp
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.reference import solve_by_daqp
 from handmap_qp.se3 import Array
 from .driver import Health
 from .tuning import SIDES, Delayed

@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.mapping.decomposition import decompose
-from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.reference.decomposition import decompose
+from handmap_qp.reference.estimation import estimate_motion
 from handmap_qp.se3 import affine, inverse_pose, transform_points
 from section_four.contacts import Grasp
 from section_four.cube import reference_grasp

@@ -14,8 +14,8 @@ import numpy as np
 
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.tables import csv_text, markdown_table
-from handmap_qp.mapping.estimation import estimate_motion
 from handmap_qp.output_files import output_folder
+from handmap_qp.reference.estimation import estimate_motion
 from section_four.drawings import (
     STYLE,
     draw_first_step,

@@ -25,7 +25,7 @@ class PointIk(qp.PointIk):
         self.options = options
         self._contacts = contacts
         self._tasks = []
-        self.is_compiled = True
+        self.reference = None
         at_rest = Motion.at_rest(hand.model.neutral, len(hand.active_columns))
         self.gate = _SavedGate(hand, motion or at_rest, options, hand.collisions)
         self.core = self.gate.core

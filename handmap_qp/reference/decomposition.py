@@ -17,6 +17,7 @@ from handmap_core.se3 import (
     mirror_sign,
     quat_wxyz_from_rotation,
 )
+from handmap_qp.mapping.estimation import about
 
 
 class Decomposition(NamedTuple):
@@ -103,11 +104,6 @@ def decompose(
         stretch=stretch,
         stretches=factors.stretches,
     )
-
-
-def about(linear: Array, point: Array, image: Array) -> Array:
-    """The motion `x -> linear (x - point) + image`, shape (4, 4)."""
-    return affine(linear, image - linear.dot(point))
 
 
 class Primitives(NamedTuple):

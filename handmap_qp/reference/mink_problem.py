@@ -1,7 +1,7 @@
 """The QP as published: built by `mink.build_ik` over Pinocchio.
 
-`IkOptions(formulation="mink", solver=...)` takes it in place of the direct formulation of
-`handmap_qp.ik.qp`, which is equal to it and faster. Each `Term` is one term of the cost, so
+`IkOptions(formulation="mink", solver=...)` takes it in place of the compiled core, which is equal
+to it and faster. Each `Term` is one term of the cost, so
 `mink.build_ik` composes them with tasks and limits of your own (subclass `mink.Task` and
 `mink.Limit`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its
 Levenberg-Marquardt term grows with the square of the error. Ours, a term of its own, grows with the
@@ -18,9 +18,9 @@ import qpsolvers
 
 from handmap_core.se3 import Array
 from handmap_qp.hands import Configuration, Hand
-from .options import IkOptions
-from .qp import cost_rows, squared_damping
-from .tasks import Goal
+from handmap_qp.ik import IkOptions
+from handmap_qp.ik.tasks import Goal
+from .problem import cost_rows, squared_damping
 
 
 class Term(mink.Task):
