@@ -39,7 +39,7 @@ from handmap_core.core import core
 from handmap_qp import HandMapper, IkOptions, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.ik.collision import Rows
 from handmap_qp.ik.qp import PointIk, direct_cost, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver

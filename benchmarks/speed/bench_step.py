@@ -49,7 +49,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.methods import homogeneous
 

@@ -17,7 +17,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_core import _core
 from handmap_core.errors import HandError, InvalidInputError, expect
+from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values
 from handmap_core.se3 import (
     Array,
     Arrays,
@@ -27,9 +29,9 @@ from handmap_core.se3 import (
     check_pose,
     frozen,
 )
+from .compiled import core_tree
 from .configuration import Configuration, moved_by
 from .human import (
-    CONTACT_GAP,
     HumanLengths,
     JointMove,
     joint_moves,
@@ -44,24 +46,11 @@ from .model import (
     tighten_model,
 )
 from .sources import read_urdf
-from .spec import (
-    HandSpec,
-    Mount,
-    PointSpec,
-    Positions,
-    Problems,
-    Side,
-    Values,
-    check_point,
-    twice,
-)
+from .spec import HandSpec, Mount, PointSpec, Positions, Problems, check_point, twice
 from .urdf import NO_LIMIT
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
-
-LONGEST_STOP = 0.5
-"""Longest time in which a robot stops, whatever its acceleration limit is [s]."""
 
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
@@ -237,6 +226,17 @@ class Hand:
     def _lengths(self) -> HumanLengths:
         """Lengths of a human hand; a `HandError` if it is none of this package."""
         return HumanLengths.from_urdf(read_urdf(self.spec))
+
+    @property
+    def tree(self) -> _core.Tree:
+        """The kinematics of the compiled core; a `HandError` if it cannot move a joint."""
+        return core_tree(self)
+
+    @property
+    def wrist_speeds(self) -> tuple[float, float]:
+        """Speed limits of a floating wrist [m/s, rad/s]."""
+        wrist = self.spec.wrist
+        return wrist.max_linear_speed, wrist.max_angular_speed
 
     @property
     def has_moving_wrist(self) -> bool:

@@ -1,8 +1,7 @@
 """From targets to motion: a QP with limits."""
 
-from . import collision, compiled, gate
+from . import collision, gate
 from .collision import pair_bounds
-from .compiled import core_tree
 from .gate import Gate
 from .motion import BEHIND, LONGEST_STEP, SHORTEST_DT, Instant, Motion, When
 from .options import LENGTH_UNIT, IkOptions
@@ -45,8 +44,6 @@ __all__ = [
     "TaskRows",
     "When",
     "collision",
-    "compiled",
-    "core_tree",
     "gate",
     "pair_bounds",
     "result_of",

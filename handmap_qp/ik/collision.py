@@ -49,7 +49,7 @@ the step brings nearer and within their margin, get such rows of the points ther
 margin, and the QP is solved again, a few times at most. Without them, links that are pressed flat
 on each other rock from corner to corner for ever.
 
-Pairs may yield (`handmap_qp.hands.contact_yield`): commanded links overlap by as much as presses
+Pairs may yield (`handmap_core.hands.contact_yield`): commanded links overlap by as much as presses
 with a given force. Then all of the above counts from that overlap on, as of the posture where the
 sample starts. A pair that overlaps by more, because the joints have moved since, must not come
 nearer, and its row parts it.

@@ -15,7 +15,6 @@ from handmap_core.models import BoxLimits, encoded
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand, Names
 from .collision import CollisionLimit, PairBounds, Rows
-from .compiled import core_tree
 from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions, ik_model
@@ -81,7 +80,7 @@ class Gate:
     def _make_core(self) -> _core.Gate:
         """Return the core's gate of this robot."""
         limits = encoded(self.limits)
-        return core.Gate(core_tree(self.hand), limits, *self._pairs())
+        return core.Gate(self.hand.tree, limits, *self._pairs())
 
     def _pairs(self) -> tuple[_core.PairBounds | None, bytes | None]:
         """Return the pairs that the core keeps apart, and how; None for none."""
@@ -219,4 +218,4 @@ class IkGate(Gate):
         """Return the core's `Ik` of this hand, which is a gate."""
         options = encoded(ik_model(self.hand, self._options))
         limits = encoded(self.limits)
-        return core.Ik(core_tree(self.hand), options, limits, *self._pairs())
+        return core.Ik(self.hand.tree, options, limits, *self._pairs())

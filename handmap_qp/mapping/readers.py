@@ -33,7 +33,6 @@ from handmap_qp.human import (
     landmarks_at_rest,
     palm_fit_weights,
 )
-from handmap_qp.ik import core_tree
 from .method import HumanPose
 
 
@@ -129,7 +128,7 @@ class JointReader:
         self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
         self._placed = human.configuration()
-        self.core = None if human.rules else core.JointReader(core_tree(human))
+        self.core = None if human.rules else core.JointReader(human.tree)
 
     def __reduce__(
         self,

@@ -7,7 +7,6 @@ from typing import NamedTuple, Protocol
 
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
-from handmap_qp.ik import core_tree
 from .method import BoundMethod, HumanPose, RobotPosture, TargetMap
 
 
@@ -66,5 +65,5 @@ class Reference(NamedTuple):
 
 def posture_of(robot: Hand, q: Array) -> RobotPosture:
     """Return where a robot's points and its wrist are in a configuration, shape (nq,)."""
-    points, wrists = core_tree(robot).posture(q)
+    points, wrists = robot.tree.posture(q)
     return RobotPosture(q[robot.q_indices], points, wrists[0])

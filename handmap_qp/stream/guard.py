@@ -17,6 +17,7 @@ from typing import Any
 
 from handmap_core.core import core
 from handmap_core.errors import expect
+from handmap_core.human.sample import VerdictNumbers
 from handmap_core.models import GuardModel, encode
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
@@ -27,7 +28,6 @@ from handmap_qp.human import (
     Verdict,
     landmarks_at_rest,
 )
-from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik import BEHIND as BEHIND
 from handmap_qp.trackers import known_orders
 

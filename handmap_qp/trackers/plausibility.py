@@ -18,10 +18,10 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidInputError
+from handmap_core.human.findings import FindingNumbers
 from handmap_core.se3 import Array
 from handmap_qp.hands import FINGERS, Names, Side
 from handmap_qp.human import LANDMARK_COUNT, Finding, Recording, check_side
-from handmap_qp.human.findings import FindingNumbers
 from .layouts import LAYOUTS
 
 

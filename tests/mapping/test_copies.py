@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from marks import crossed
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import (
     METHODS,
     PRESETS,
@@ -27,7 +28,6 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.rejoin import RejoinKind
 

@@ -14,11 +14,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from handmap_core.human.sample import HumanSample, Verdict, human_name
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import joined, load_robot, load_whole
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset

@@ -22,11 +22,11 @@ from limit_judge import (
     without,
 )
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.motion import SHORTEST_DT, Instant, Motion
 from handmap_qp.ik.options import IkOptions

@@ -24,6 +24,7 @@ from service_tools import (
     speeds,
 )
 
+from handmap_core.human.sample import TIPS
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -39,7 +40,6 @@ from handmap_qp.apps.service.session import Session, to_pose
 from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz

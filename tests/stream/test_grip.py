@@ -13,10 +13,10 @@ import pytest
 from grip_cases import HUMAN, Blocked, gap_of, grip_follower, run, samples
 from picks import made_pick
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation

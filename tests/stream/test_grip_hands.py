@@ -18,10 +18,10 @@ from grip_cases import (
     samples,
 )
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp import load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.grip import RobotGripFollower

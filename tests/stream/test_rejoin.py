@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from injection import inject, parse_faults
 
+from handmap_core.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -21,7 +22,6 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine

@@ -17,8 +17,8 @@ from layout_cases import wrist_beside
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import InvalidInputError, RecordingError, read_recording
+from handmap_qp.hands import Side
 from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, sized_human

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pinocchio import exp3
 
+from handmap_core.human.sample import HumanSample, Verdict
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -21,7 +22,6 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.hand_geometry import misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (

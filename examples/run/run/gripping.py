@@ -7,9 +7,9 @@ from copy import deepcopy
 
 from numpy.typing import ArrayLike
 
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import HumanSample
 from handmap_qp.errors import expect
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.motion import When
 from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.mapping.step import MapStep

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from handmap_core.hands.pad import Pad
 from handmap_qp import __version__, mapping
 from handmap_qp.errors import HandError
-from handmap_qp.hands.pad import Pad
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator

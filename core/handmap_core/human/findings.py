@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from handmap_core.core import core
-from handmap_qp.hands import FINGERS, OTHER_SIDE, Side
+from handmap_core.hands import FINGERS, OTHER_SIDE, Side
 
 HAND_LENGTHS: tuple[float, float] = core.HAND_LENGTHS
 """Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to

@@ -19,6 +19,7 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.errors import expect
+from handmap_core.hands import FINGERS, Hand, Names, Point, Side
 from handmap_core.se3 import (
     Array,
     as_floats,
@@ -27,8 +28,6 @@ from handmap_core.se3 import (
     is_real,
     transform_points,
 )
-from handmap_qp import ik
-from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
 from .findings import HAND_LENGTHS, Finding, FindingNumbers
 
 LANDMARK_COUNT = 21
@@ -209,14 +208,14 @@ def landmarks_at_rest(human: Hand) -> Array:
     points = _landmark_points(human.unscaled or human)
     links = [point.link for point in points]
     offsets = np.array([point.xyz for point in points])
-    in_palm = ik.compiled.core_tree(human).points_on_links(human.rest, links, offsets)
+    in_palm = human.tree.points_on_links(human.rest, links, offsets)
     return frozen(transform_points(human.wrist_to_palm, in_palm))
 
 
 @lru_cache(maxsize=16)
-def _landmark_points(human: Hand) -> tuple[PointSpec, ...]:
+def _landmark_points(human: Hand) -> tuple[Point, ...]:
     """Return the points of a hand that are landmarks; people whose hand it is share them."""
-    return human.with_points("landmarks").reference_points
+    return tuple(human.with_points("landmarks").reference_points)
 
 
 def human_name(side: Side) -> str:
@@ -248,7 +247,7 @@ def expect_hand_length(length: float, argument: str) -> None:
 def palm_sizes(palms: Array) -> Array:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
-    return np.sqrt(np.vecdot(offsets, offsets).mean(axis=-1))
+    return np.sqrt((offsets * offsets).sum(axis=-1).mean(axis=-1))
 
 
 Rule = str

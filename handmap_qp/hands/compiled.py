@@ -3,8 +3,10 @@
 The core (`core`, C++) has kinematics, distances and a QP solver of its own.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +20,10 @@ from handmap_core.models import (
     PlaceModel,
     encode,
 )
-from handmap_qp.hands import Hand, PointSpec
+from .spec import PointSpec
+
+if TYPE_CHECKING:
+    from .hand import Hand
 
 _FRAMES: dict[pin.FrameType, Literal["joint", "fixed_joint", "link"]] = {
     pin.FrameType.JOINT: "joint",

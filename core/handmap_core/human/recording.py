@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from handmap_core.errors import expect
+from handmap_core.hands import OTHER_SIDE, UPRIGHT, Side
 from handmap_core.se3 import Array, affine, as_floats, check_poses, frozen, is_real
-from handmap_qp.hands import OTHER_SIDE, UPRIGHT, Hand, Side
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -166,28 +166,6 @@ class Recording:
         """
         steps = np.diff(self.time)
         return np.insert(steps, 0, np.median(steps) if len(steps) else 1.0 / 60.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HumanMotion:
-    """A recording as joint angles.
-
-    Attributes:
-        human: The human hand, scaled to the person, its reference points the 21 landmarks.
-        time: Instants [s], shape (T,).
-        dt: Time from each sample's predecessor [s], shape (T,).
-        q: Joint angles in the order of `human.joint_names` [rad], shape (T, 20).
-        wrist: Wrist poses in the tracker's world, shape (T, 4, 4).
-        valid: Samples that were fitted, shape (T,). The others hold the last fitted posture; those
-            before the first fitted one hold that one.
-    """
-
-    human: Hand
-    time: Array
-    dt: Array
-    q: Array
-    wrist: Array
-    valid: Array
 
 
 def regular_time(count: int, fps: float) -> Array:

@@ -1,0 +1,53 @@
+"""Hands, as far as what runs for every sample needs to know them."""
+
+from .contact_yield import (
+    NEAR,
+    ContactYield,
+)
+from .hand import (
+    Hand,
+    Point,
+)
+from .names import (
+    CONTACT_GAP,
+    FINGERS,
+    LINK_MARGIN,
+    LONGEST_STOP,
+    OTHER_SIDE,
+    SIDES,
+    THUMB,
+    UPRIGHT,
+    Names,
+    Side,
+    Values,
+)
+from .pad import (
+    Pad,
+    PadPair,
+)
+from .stiffness import (
+    SLIDING_STIFFNESS,
+    STIFFNESS,
+)
+
+__all__ = [
+    "CONTACT_GAP",
+    "FINGERS",
+    "LINK_MARGIN",
+    "LONGEST_STOP",
+    "NEAR",
+    "OTHER_SIDE",
+    "SIDES",
+    "SLIDING_STIFFNESS",
+    "STIFFNESS",
+    "THUMB",
+    "UPRIGHT",
+    "ContactYield",
+    "Hand",
+    "Names",
+    "Pad",
+    "PadPair",
+    "Point",
+    "Side",
+    "Values",
+]
