@@ -36,8 +36,8 @@ import pinocchio as pin
 import shared_hands
 import synthetic
 
+import handmap_core.mapping.readers
 import handmap_qp.ik.qp
-import handmap_qp.mapping.readers
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
@@ -140,7 +140,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     ik, reference = mapper.point_ik, mapper.source.counted_from
     counted = reference.map if reference else None
     wrapped = [
-        (handmap_qp.mapping.readers, "check_pose", "checks"),
+        (handmap_core.mapping.readers, "check_pose", "checks"),
         (mapper.source.joints, "read", "human FK"),
         (getattr(counted, "estimator", None), "estimate", "estimation"),
         (homogeneous, "polar", "decomposition"),

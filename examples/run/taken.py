@@ -25,17 +25,17 @@ OWN = Path(__file__).with_name("run")
 TAKEN = """
 errors se3 options models client/__init__ client/messages
 hands/configuration
-ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/command_time mapping/decomposition mapping/estimation
-mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/hands_as_one mapping/mapper
-mapping/method mapping/moving_robot mapping/named_method mapping/palm mapping/readers
-mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step mapping/step
+ik/qp ik/collision
+mapping/alignment mapping/decomposition mapping/estimation
+mapping/hand_mapper mapping/mapper
+mapping/method mapping/moving_robot mapping/named_method mapping/palm
+mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step
 mapping/target_source mapping/two_palms
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
-stream/closing_pads stream/follower stream/following stream/grip
-stream/guard stream/hand_follower stream/hand_grip stream/object_place stream/rejoin
-stream/robot_follower stream/smoothing stream/step_table
-trackers/hand_geometry trackers/plausibility trackers/wrist_axes
+stream/closing_pads stream/follower stream/grip
+stream/guard stream/hand_follower stream/hand_grip stream/rejoin
+stream/robot_follower stream/smoothing
+trackers/plausibility
 """
 # What is written otherwise: the name, then what is missing here.
 CHANGES = (

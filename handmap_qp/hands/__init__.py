@@ -12,12 +12,15 @@ from handmap_core.hands import (
     STIFFNESS,
     THUMB,
     UPRIGHT,
+    AttachedPoints,
+    Configuration,
     ContactYield,
     Names,
     Pad,
     PadPair,
     Side,
     Values,
+    moved_by,
 )
 from .collision_shapes import (
     add_stand_ins,
@@ -30,7 +33,7 @@ from .collision_shapes import (
     shape_model,
 )
 from .compiled import core_tree
-from .configuration import AttachedPoints, Configuration, moved_by
+from .configuration import PinocchioConfiguration
 from .fingers import (
     PARALLEL,
     Finger,
@@ -168,6 +171,7 @@ __all__ = [
     "PadSpec",
     "PalmKinematics",
     "PalmSpec",
+    "PinocchioConfiguration",
     "Place",
     "PointSpec",
     "Points",

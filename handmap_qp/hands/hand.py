@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from handmap_core import _core
 from handmap_core.errors import HandError, InvalidInputError, expect
-from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values
+from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values, moved_by
 from handmap_core.se3 import (
     Array,
     Arrays,
@@ -30,7 +30,7 @@ from handmap_core.se3 import (
     frozen,
 )
 from .compiled import core_tree
-from .configuration import Configuration, moved_by
+from .configuration import PinocchioConfiguration
 from .human import (
     HumanLengths,
     JointMove,
@@ -239,6 +239,11 @@ class Hand:
         return wrist.max_linear_speed, wrist.max_angular_speed
 
     @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward, such as `+z up, +x forward`."""
+        return self.spec.upright
+
+    @property
     def has_moving_wrist(self) -> bool:
         """Whether six free coordinates or the joints of an arm move the wrist."""
         return self.wrist_frame.parentJoint > 0
@@ -352,9 +357,9 @@ class Hand:
             vars(hand).pop(of_lengths, None)
         return hand
 
-    def configuration(self) -> Configuration:
+    def configuration(self) -> PinocchioConfiguration:
         """Return a new workspace for this hand, for one user at a time."""
-        return Configuration(self)
+        return PinocchioConfiguration(self)
 
     def configuration_vector(
         self, q: ArrayLike, wrist_pose: PoseLike | None = None
@@ -552,11 +557,13 @@ class Hand:
         len(self.point_frames)
 
     @cached_property
-    def _scratch(self) -> Configuration:
+    def _scratch(self) -> PinocchioConfiguration:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
-    def _placed(self, q: ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
+    def _placed(
+        self, q: ArrayLike, wrist_pose: PoseLike | None
+    ) -> PinocchioConfiguration:
         self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch
 

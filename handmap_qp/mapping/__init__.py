@@ -1,5 +1,23 @@
 """The method: from a human sample to the targets and the command of a robot hand."""
 
+from handmap_core.mapping.command_time import check_dt, check_when, own_time
+from handmap_core.mapping.hand_request import HandRequest
+from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.step import (
+    MapStep,
+    RobotCommand,
+    SampleStep,
+    Stages,
+    arm_held_by,
+)
+from handmap_core.mapping.targets import (
+    AnyPose,
+    CoreMap,
+    HumanPose,
+    RobotPosture,
+    Targets,
+    core_pose,
+)
 from .alignment import (
     AlignedOptions,
     Row,
@@ -8,7 +26,6 @@ from .alignment import (
     rotation_of,
     rotation_onto,
 )
-from .command_time import check_dt, check_when, own_time
 from .decomposition import Decomposition, Primitives, decompose, polar, primitives
 from .estimation import MotionEstimate, MotionEstimator, estimate_motion
 from .hand_mapper import HandMapper
@@ -24,21 +41,7 @@ from .hand_pair import (
     robot_fingers,
     touching_distances,
 )
-from .hand_request import HandRequest
-from .method import (
-    FOLLOWING,
-    PRESETS,
-    AnyPose,
-    CoreMap,
-    HumanPose,
-    Method,
-    Preset,
-    RobotPosture,
-    Targets,
-    core_pose,
-    default_preset,
-    get_preset,
-)
+from .method import FOLLOWING, PRESETS, Method, Preset, default_preset, get_preset
 from .moving_robot import MovingRobot
 from .objects import (
     KINDS,
@@ -65,12 +68,10 @@ from .presets import (
     preset_choice,
     preset_with,
 )
-from .readers import JointReader, LandmarkReader, check_joints
 from .reference import Placement, Reference
 from .robot_hand import RequestStep, RobotHand
 from .robot_mapper import RobotMapper
 from .robot_step import RobotStep
-from .step import MapStep, RobotCommand, SampleStep, Stages, arm_held_by
 from .target_source import TargetSource
 
 __all__ = [

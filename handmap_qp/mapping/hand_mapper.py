@@ -18,25 +18,24 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidInputError
-from handmap_core.se3 import PoseLike, QuatOrder, check_pose
-from handmap_qp.hands import Hand
-from handmap_qp.ik import IkOptions, Motion, PointIk, Task, When
-from .command_time import check_when, own_time
-from .exclusive import WorkLock, exclusively
-from .mapper import Mapper
-from .method import (
+from handmap_core.mapping.command_time import check_when, own_time
+from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.step import AnyStages, MapStep, Stages
+from handmap_core.mapping.targets import (
     AnyPose,
-    BoundMethod,
     HumanPose,
-    Method,
     TargetMap,
     Targets,
     core_pose,
 )
+from handmap_core.se3 import PoseLike, QuatOrder, check_pose
+from handmap_qp.hands import Hand
+from handmap_qp.ik import IkOptions, Motion, PointIk, Task, When
+from .mapper import Mapper
+from .method import BoundMethod, Method
 from .moving_robot import MovingRobot
-from .readers import JointReader, LandmarkReader, check_joints
 from .reference import Placement, Reference
-from .step import AnyStages, MapStep, Stages
 from .target_source import TargetSource
 
 

@@ -6,8 +6,8 @@ from copy import deepcopy
 from typing import Generic, TypeVar
 
 from handmap_core.core import core
+from handmap_core.mapping.exclusive import WorkLock, exclusively
 from handmap_qp.ik import IkOptions, Motion, PointIk
-from .exclusive import WorkLock, exclusively
 from .moving_robot import MovingRobot
 from .reference import Placement
 

@@ -12,14 +12,14 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.errors import expect
+from handmap_core.mapping.command_time import CallerClock, check_dt, check_when
+from handmap_core.mapping.hand_request import HandRequest
+from handmap_core.mapping.step import Stages, step_views
+from handmap_core.mapping.targets import Targets
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
 from handmap_qp.ik import IkResult, Motion, PointIk, When
-from .command_time import CallerClock, check_dt, check_when
-from .hand_request import HandRequest
-from .method import Targets
 from .reference import Placement
-from .step import Stages, step_views
 
 
 class MovingRobot:

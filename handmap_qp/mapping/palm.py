@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handmap_core.errors import InvalidOptionsError
+from handmap_core.mapping.targets import AnyPose, HumanPose, RobotPosture, TargetMap
 from handmap_core.models import PalmModel
 from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from handmap_qp.hands import Hand
 from .alignment import AlignedOptions, rotation_of
-from .method import AnyPose, HumanPose, RobotPosture, TargetMap
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs

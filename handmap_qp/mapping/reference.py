@@ -5,9 +5,10 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import NamedTuple, Protocol
 
+from handmap_core.mapping.targets import HumanPose, RobotPosture, TargetMap
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
-from .method import BoundMethod, HumanPose, RobotPosture, TargetMap
+from .method import BoundMethod
 
 
 class Placement(Enum):

@@ -14,17 +14,17 @@ from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_core.core import core
+from handmap_core.mapping.command_time import check_dt, own_time
+from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.hand_request import AnyRequest, HandRequest
+from handmap_core.mapping.readers import JointReader, LandmarkReader
+from handmap_core.mapping.step import SampleStep
+from handmap_core.mapping.targets import AnyPose, HumanPose, Targets, core_pose
 from handmap_core.se3 import Array, PoseLike, frozen
 from handmap_qp.hands import Hand
 from handmap_qp.ik import Motion, Task, When
-from .command_time import check_dt, own_time
-from .exclusive import WorkLock, exclusively
-from .hand_request import AnyRequest, HandRequest
-from .method import AnyPose, HumanPose, Targets, core_pose
 from .moving_robot import MovingRobot
-from .readers import JointReader, LandmarkReader
 from .reference import Reference, posture_of
-from .step import SampleStep
 from .target_source import TargetSource
 
 HOME = frozen(np.eye(4))

@@ -22,6 +22,12 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.mapping.command_time import check_when
+from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.hands_as_one import rest_as_one, stages_as_one, targets_as_one
+from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.step import AnyStages, MapStep
+from handmap_core.mapping.targets import Targets
 from handmap_core.models import RobotHandModel, RobotModel, encode
 from handmap_core.se3 import (
     Array,
@@ -41,16 +47,11 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import Verdict, human_name
 from handmap_qp.ik import IkOptions, Motion, PointIk, When
-from .command_time import check_when
-from .exclusive import WorkLock, exclusively
-from .hands_as_one import rest_as_one, stages_as_one, targets_as_one
 from .mapper import Mapper
-from .method import BoundMethod, Method, Targets
+from .method import BoundMethod, Method
 from .moving_robot import MovingRobot
-from .readers import JointReader, LandmarkReader, check_joints
 from .robot_hand import HOME, RequestStep, RobotHand
 from .robot_step import RobotStep, part_step, whole_step
-from .step import AnyStages, MapStep
 from .target_source import TargetSource
 from .two_palms import NEAR, TOGETHER, TOGETHER_SHARE, aimed, brought_together
 

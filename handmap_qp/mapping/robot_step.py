@@ -6,9 +6,9 @@ from operator import attrgetter
 
 from msgspec import structs
 
+from handmap_core.mapping.step import AnyStages, MapStep
 from handmap_qp.hands import Side
 from .robot_hand import RequestStep
-from .step import AnyStages, MapStep
 
 
 class RobotStep(MapStep, frozen=True, kw_only=True):

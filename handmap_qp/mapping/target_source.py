@@ -16,6 +16,9 @@ from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import InvalidInputError, InvalidOptionsError, expect
+from handmap_core.mapping.hand_request import HandRequest
+from handmap_core.mapping.readers import JointReader, LandmarkReader
+from handmap_core.mapping.targets import CoreMap, HumanPose, TargetMap
 from handmap_core.se3 import (
     Array,
     PoseLike,
@@ -26,17 +29,8 @@ from handmap_core.se3 import (
 )
 from handmap_qp.hands import Hand, Values
 from handmap_qp.ik import IkOptions, Task
-from .hand_request import HandRequest
-from .method import (
-    BoundMethod,
-    CoreMap,
-    HumanPose,
-    Method,
-    TargetMap,
-    default_preset,
-)
+from .method import BoundMethod, Method, default_preset
 from .named_method import named_method
-from .readers import JointReader, LandmarkReader
 from .reference import PlacedRobot, Placement, Reference
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"

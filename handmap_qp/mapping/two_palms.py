@@ -12,6 +12,8 @@ import numpy as np
 from msgspec import structs
 
 from handmap_core.core import core
+from handmap_core.mapping.hand_request import AnyRequest
+from handmap_core.mapping.targets import Targets
 from handmap_core.se3 import (
     Array,
     affine,
@@ -22,8 +24,6 @@ from handmap_core.se3 import (
 )
 from handmap_qp.hands import Hand
 from handmap_qp.ik import AttachedPoints, PointOffset
-from .hand_request import AnyRequest
-from .method import Targets
 from .palm import PalmMap
 
 NEAR = 0.4

@@ -1,7 +1,8 @@
 """Which samples of a tracker the robot follows."""
 
+from handmap_core.stream.following import FollowingCheck
+from handmap_core.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 from .follower import Follower
-from .following import FollowingCheck
 from .grip import GripFollower, RobotGripFollower, gripping
 from .guard import BEHIND, StreamGuard
 from .hand_grip import GripOptions, can_grip, gripping_presets, has_grasp
@@ -9,7 +10,6 @@ from .held_object import ObjectFollower, ObjectOptions, follow_recording
 from .measurement import measure_person
 from .robot_follower import RobotFollower, paired
 from .smoothing import SMOOTH_IK, Smoothing
-from .step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 __all__ = [
     "BEHIND",

@@ -15,6 +15,7 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.errors import HandmapError, expect
+from handmap_core.mapping.exclusive import WorkLock, exclusively
 from handmap_core.options import Option
 from handmap_qp.human import HumanSample, Verdict
 from handmap_qp.ik import SHORTEST_DT, Instant, Motion, When
@@ -27,7 +28,6 @@ from handmap_qp.mapping import (
     check_when,
     own_time,
 )
-from handmap_qp.mapping.exclusive import WorkLock, exclusively
 from .guard import BEHIND, StreamGuard
 from .rejoin import Rejoin, RejoinKind
 from .smoothing import Smoother, Smoothing

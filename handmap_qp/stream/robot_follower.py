@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.errors import HandmapError, expect
+from handmap_core.mapping.exclusive import exclusively
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import RequestStep, RobotMapper, RobotStep
-from handmap_qp.mapping.exclusive import exclusively
 from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
 from .hand_follower import HandFollower
 from .rejoin import RejoinKind

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 from ik_cases import HANDS, hand_of, random_cases
 
+from handmap_core.ik.tasks import AttachedPoints, PointDistances, TaskRows
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, MapStep, load_hand
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances, TaskRows
 
 SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
 SOME = [

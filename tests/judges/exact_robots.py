@@ -25,10 +25,10 @@ import pinocchio as pin
 from checker import Checker
 
 from handmap_core.human.sample import human_name
+from handmap_core.ik.motion import Motion
 from handmap_qp import HandmapError, load_hand
 from handmap_qp.hands.robot import load_robot, robot_files
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.ik.motion import Motion
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.mapping.robot_step import RobotStep

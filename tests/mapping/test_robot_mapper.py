@@ -15,13 +15,13 @@ import pinocchio as pin
 import pytest
 
 from handmap_core.human.sample import HumanSample, Verdict, human_name
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Side
 from handmap_qp.hands.robot import joined, load_robot, load_whole
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.mapping.robot_step import RobotStep

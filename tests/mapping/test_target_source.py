@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.tasks import TaskRows
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.reference import Placement
 from handmap_qp.mapping.robot_hand import HandState, RequestStep

@@ -316,8 +316,8 @@ def test_a_robot_anywhere_closes_to_the_fist_it_is_shown_first(
 
 def reach_shares(robot: Any, q: np.ndarray) -> np.ndarray:
     """Return the distance from knuckle to tip of every finger as a share of its reach."""
+    from handmap_core.ik.tasks import AttachedPoints
     from handmap_qp.hands.fingers import find_fingers
-    from handmap_qp.ik.tasks import AttachedPoints
 
     shares = []
     configuration = robot.configuration()

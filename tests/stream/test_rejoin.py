@@ -13,6 +13,7 @@ import pytest
 from injection import inject, parse_faults
 
 from handmap_core.human.sample import UNPROVEN_SPEED, HumanSample
+from handmap_core.mapping.step import MapStep
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -23,7 +24,6 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine
 from handmap_qp.stream.rejoin import (
     FINGER_SPEED,

@@ -16,6 +16,7 @@ import pytest
 from faulty_recordings import DEMO
 
 from handmap_core.human.recording import sample_columns
+from handmap_core.ik.tasks import JointPositions
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -26,7 +27,6 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.errors import HandmapError
-from handmap_qp.ik.tasks import JointPositions
 from handmap_qp.mapping.method import core_pose
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck

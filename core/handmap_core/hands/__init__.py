@@ -1,5 +1,13 @@
 """Hands, as far as what runs for every sample needs to know them."""
 
+from .configuration import (
+    AttachedPoints,
+    Configuration,
+    Frame,
+    KinematicModel,
+    Pose,
+    moved_by,
+)
 from .contact_yield import (
     NEAR,
     ContactYield,
@@ -42,12 +50,18 @@ __all__ = [
     "STIFFNESS",
     "THUMB",
     "UPRIGHT",
+    "AttachedPoints",
+    "Configuration",
     "ContactYield",
+    "Frame",
     "Hand",
+    "KinematicModel",
     "Names",
     "Pad",
     "PadPair",
     "Point",
+    "Pose",
     "Side",
     "Values",
+    "moved_by",
 ]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from handmap_core import _core
 from handmap_core.se3 import Array, PoseLike
+from .configuration import Configuration, Frame, KinematicModel
 from .names import Names, Side
 
 
@@ -52,6 +53,26 @@ class Hand(Protocol):
     @property
     def tree(self) -> _core.Tree:
         """The kinematics of the compiled core."""
+
+    @property
+    def model(self) -> KinematicModel:
+        """Its tree of joints."""
+
+    @property
+    def point_frames(self) -> Sequence[Frame]:
+        """Frames of the reference points."""
+
+    @property
+    def wrist_frame(self) -> Frame:
+        """Frame of the wrist."""
+
+    @property
+    def palm_frame(self) -> Frame:
+        """Frame of the palm."""
+
+    @property
+    def hands(self) -> Sequence[Hand]:
+        """The hands of a robot that is moved as one; else this hand alone."""
 
     @property
     def parts(self) -> Sequence[Hand]:
@@ -130,12 +151,23 @@ class Hand(Protocol):
         """Speed limits of a floating wrist [m/s, rad/s]."""
 
     @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward, such as `+z up, +x forward`."""
+
+    @property
+    def finger_joints(self) -> Array:
+        """Which joints move points of each of its h hands, and no wrist, shape (h, n)."""
+
+    @property
     def moves_wrist(self) -> Array:
         """Which joints move the wrist, shape (n,)."""
 
     @property
     def has_moving_wrist(self) -> bool:
         """Whether free coordinates or joints of an arm move the wrist."""
+
+    def configuration(self) -> Configuration:
+        """Return a new workspace for this hand, for one user at a time."""
 
     def with_points(self, points: str) -> Hand:
         """Return the same hand with another set of reference points."""

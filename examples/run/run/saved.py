@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from handmap_core.hands.pad import Pad
+from handmap_core.ik.options import IkOptions
+from handmap_core.ik.tasks import PointDistances
 from handmap_qp import __version__, mapping
 from handmap_qp.errors import HandError
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation

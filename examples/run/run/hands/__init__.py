@@ -168,7 +168,7 @@ class CollisionLimit(Record):
         return self.columns
 
 
-class Configuration(configuration.Configuration):
+class Configuration(configuration.PinocchioConfiguration):
     """A hand in one posture, placed by the core; see `hands.configuration`."""
 
     _hand: Hand
@@ -181,6 +181,9 @@ class Configuration(configuration.Configuration):
         self.q = frozen(np.array(q))
 
     __setstate__ = place
+
+
+PinocchioConfiguration = Configuration
 
 
 class Grasp(Record):
@@ -241,6 +244,11 @@ class Hand(Record):
         """Speed limits of a floating wrist [m/s, rad/s]."""
         wrist = self.spec.wrist
         return wrist.max_linear_speed, wrist.max_angular_speed
+
+    @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward."""
+        return self.spec.upright
 
     @property
     def hands(self) -> tuple[Hand, ...]:

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import structs
 
+from handmap_core.hands import Hand
+from handmap_core.ik import IkResult
+from handmap_core.mapping.targets import HumanPose, Targets
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand
-from handmap_qp.ik import IkResult
 from .hand_request import AnyRequest
-from .method import HumanPose, Targets
 from .step import Stages
 
 

@@ -14,6 +14,15 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidInputError, InvalidOptionsError
+from handmap_core.hands import Hand, Names
+from handmap_core.human import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    landmarks_at_rest,
+    palm_fit_weights,
+)
+from handmap_core.mapping.targets import HumanPose
 from handmap_core.models import LandmarkReaderModel, encode
 from handmap_core.se3 import (
     Array,
@@ -25,15 +34,6 @@ from handmap_core.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.hands import Hand, Names
-from handmap_qp.human import (
-    LANDMARK_COUNT,
-    LANDMARK_NAMES,
-    PALM,
-    landmarks_at_rest,
-    palm_fit_weights,
-)
-from .method import HumanPose
 
 
 class _LandmarkReaderState(TypedDict):
@@ -126,14 +126,12 @@ class JointReader:
         self.human = human
         self.tolerance = tolerance
         self.quat_order = quat_order
-        # The wrist is at the origin; points move with it afterwards.
-        self._placed = human.configuration()
         self.core = None if human.rules else core.JointReader(human.tree)
 
     def __reduce__(
         self,
     ) -> tuple[type[JointReader], tuple[Hand, float, QuatOrder | None]]:
-        """Build a copy with a workspace of its own."""
+        """Build a copy with a reader of the core of its own."""
         return JointReader, (self.human, self.tolerance, self.quat_order)
 
     def read(
@@ -153,9 +151,10 @@ class JointReader:
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
-        self._placed.place(human.configuration_vector(angles))
+        # The wrist is at the origin; points move with it afterwards.
+        placed, _ = human.tree.posture(human.configuration_vector(angles))
         outside = tuple(compress(human.joint_names, excess > 0.0))
-        return HumanPose(transform_points(wrist, self._placed.points), wrist), outside
+        return HumanPose(transform_points(wrist, placed), wrist), outside
 
 
 def check_joints(

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from handmap_core.hands import Hand
 from handmap_core.models import BoxLimits
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand
 from .options import IkOptions
 
 # Accelerations from here on count as no limit [rad/s^2, m/s^2].
@@ -41,8 +41,7 @@ def box_limits(
     if options.has_velocity_limits:
         speeds[joints] = hand.velocity_limits
         if hand.is_floating:
-            wrist = hand.spec.wrist
-            speeds[:6] = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
+            speeds[:6] = np.repeat(hand.wrist_speeds, 3)
     # A limit beyond all speeds is none; as such, its products with times cannot overflow.
     most = options.max_acceleration
     return BoxLimits(

@@ -12,10 +12,9 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.se3 import Array, ArrayStruct, lengths
-from handmap_qp.hands import Hand, Names
-from handmap_qp.human import Finding, Rule, Verdict
-from handmap_qp.ik import (
+from handmap_core.hands import Hand, Names
+from handmap_core.human import Finding, Rule, Verdict
+from handmap_core.ik import (
     WRIST_LEVERS,
     IkOptions,
     IkResult,
@@ -23,7 +22,8 @@ from handmap_qp.ik import (
     result_of,
     wrist_error,
 )
-from .method import AnyPose, Targets
+from handmap_core.mapping.targets import AnyPose, Targets
+from handmap_core.se3 import Array, ArrayStruct, lengths
 
 StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""

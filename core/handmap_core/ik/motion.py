@@ -1,6 +1,6 @@
 """How a robot moves, and when its commands are.
 
-The gate owns both (`handmap_qp.ik.gate`): a command gives its instant, not a duration, so that
+The gate owns both (`handmap_core.ik.gate`): a command gives its instant, not a duration, so that
 speed and acceleration hold by the time stamps of the commands.
 """
 

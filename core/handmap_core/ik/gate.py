@@ -8,19 +8,54 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from handmap_core.core import core
-from handmap_core.models import BoxLimits, encoded
+from handmap_core.hands import Hand, Names
+from handmap_core.models import BoxLimits, CollisionModel, encoded
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand, Names
-from .collision import CollisionLimit, PairBounds, Rows
 from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions, ik_model
 
 if TYPE_CHECKING:
     from handmap_core import _core
+
+Rows = tuple[Array, Array]
+"""G, shape (r, n), and h, shape (r,), of `G x <= h`."""
+
+
+class PairBounds(Protocol):
+    """What never changes of pairs of shapes that are kept apart."""
+
+    def __hash__(self) -> int:
+        """Two are equal only if they are the same one."""
+
+    @property
+    def core(self) -> _core.PairBounds:
+        """The core's own."""
+
+    @property
+    def links(self) -> tuple[Names, ...]:
+        """Links of both shapes of each pair; at -1, there are none."""
+
+    def moving_columns(self, spread: Array) -> Array:
+        """Return which active coordinates move shapes against each other, shape (k,)."""
+
+
+class Collisions(Protocol):
+    """Pairs of shapes that are kept apart, and how."""
+
+    @property
+    def bounds(self) -> PairBounds:
+        """The pairs."""
+
+    @property
+    def model(self) -> CollisionModel:
+        """How they are kept apart."""
+
+
+Kept = TypeVar("Kept", bound=Collisions)
 
 
 @lru_cache(maxsize=32)
@@ -30,7 +65,7 @@ def _limits_of(hand: Hand, options: IkOptions, bounds: PairBounds | None) -> Box
     return box_limits(hand, options, together)
 
 
-class Gate:
+class Gate(Generic[Kept]):
     """Owns the motion of a robot and its time, and admits its displacements.
 
     Args:
@@ -54,11 +89,12 @@ class Gate:
         hand: Hand,
         motion: Motion,
         options: IkOptions = IkOptions(),
-        collisions: CollisionLimit | None = None,
+        collisions: Kept | None = None,
     ) -> None:
         self.hand = hand
         self.collisions = collisions
-        self.limits = _limits_of(hand, options, collisions and collisions.bounds)
+        bounds = collisions.bounds if collisions else None
+        self.limits = _limits_of(hand, options, bounds)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
         self._options = options
         self.core = self._make_core()
@@ -208,7 +244,7 @@ class Gate:
         return self.core.advance(goal, when, share, stops)
 
 
-class IkGate(Gate):
+class IkGate(Gate[Kept]):
     """The gate of a hand that the core's QPs move, too."""
 
     # Nothing else than `_make_core` sets it.

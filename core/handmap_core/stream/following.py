@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike
 
+from handmap_core.hands import Hand
 from handmap_core.se3 import Array, as_floats
-from handmap_qp.hands import Hand
 
 # Joints may be where they were commanded at any time since this long ago [s].
 _DELAY = 0.05

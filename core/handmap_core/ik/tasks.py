@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.hands import AttachedPoints, Configuration, Hand
 from handmap_core.models import DistancesModel, encode
+from handmap_core.plugins import Plugins
 from handmap_core.se3 import Array, as_floats, lengths
-from handmap_qp.hands import AttachedPoints, Configuration, Hand
-from handmap_qp.plugins import Plugins
 from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:

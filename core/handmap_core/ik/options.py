@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
+from handmap_core.hands import Hand, Names
 from handmap_core.models import IkModel
 from handmap_core.options import NotNegative, Options, Positive, number
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand, Names
 
 LENGTH_UNIT = 0.01
 """Length that counts as one in the cost [m]."""

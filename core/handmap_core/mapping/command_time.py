@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from handmap_core.errors import InvalidInputError, expect
+from handmap_core.ik import BEHIND, LONGEST_STEP, Instant, When
 from handmap_core.se3 import is_real
-from handmap_qp.ik import BEHIND, LONGEST_STEP, Instant, When
 
 
 def own_time(when: When) -> float:

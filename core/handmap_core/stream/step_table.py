@@ -5,10 +5,10 @@ from typing import get_args
 import numpy as np
 
 from handmap_core.core import core
+from handmap_core.hands import Hand, Names
+from handmap_core.ik import Status
+from handmap_core.mapping import MapStep
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand, Names
-from handmap_qp.ik import Status
-from handmap_qp.mapping import MapStep
 
 STATUS_NAMES: Names = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
