@@ -28,13 +28,13 @@ hands/configuration
 ik/qp ik/collision
 mapping/alignment mapping/decomposition mapping/estimation
 mapping/hand_mapper mapping/mapper
-mapping/method mapping/moving_robot mapping/named_method mapping/palm
-mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step
-mapping/target_source mapping/two_palms
+mapping/method mapping/named_method mapping/palm
+mapping/robot_hand mapping/robot_mapper
+mapping/target_source
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
-stream/closing_pads stream/follower stream/grip
-stream/guard stream/hand_follower stream/hand_grip stream/rejoin
-stream/robot_follower stream/smoothing
+stream/follower stream/grip
+stream/guard stream/hand_follower stream/hand_grip
+stream/robot_follower
 trackers/plausibility
 """
 # What is written otherwise: the name, then what is missing here.

@@ -55,7 +55,7 @@ Points = str | Sequence[str | PointSpec]
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("frames", "moves_wrist", "_scratch")
+_CACHED = ("frames", "moves_wrist", "tree", "_scratch")
 
 
 class Hand:
@@ -227,7 +227,7 @@ class Hand:
         """Lengths of a human hand; a `HandError` if it is none of this package."""
         return HumanLengths.from_urdf(read_urdf(self.spec))
 
-    @property
+    @cached_property
     def tree(self) -> _core.Tree:
         """The kinematics of the compiled core; a `HandError` if it cannot move a joint."""
         return core_tree(self)
@@ -552,7 +552,8 @@ class Hand:
         """Use other reference points, while nobody else has this hand."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        vars(self).pop("point_frames", None)
+        for of_points in ("point_frames", "tree"):
+            vars(self).pop(of_points, None)
         # A link that does not exist is reported here.
         len(self.point_frames)
 

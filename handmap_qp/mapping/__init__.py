@@ -1,8 +1,18 @@
 """The method: from a human sample to the targets and the command of a robot hand."""
 
+from handmap_core.mapping.alignment import (
+    Row,
+    alignment_from_gestures,
+    rotation_of,
+    rotation_onto,
+)
 from handmap_core.mapping.command_time import check_dt, check_when, own_time
 from handmap_core.mapping.hand_request import HandRequest
+from handmap_core.mapping.moving_robot import MovingRobot
+from handmap_core.mapping.palm import PalmMap
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.reference import Placement, Reference
+from handmap_core.mapping.robot_step import RequestStep, RobotStep
 from handmap_core.mapping.step import (
     MapStep,
     RobotCommand,
@@ -18,14 +28,7 @@ from handmap_core.mapping.targets import (
     Targets,
     core_pose,
 )
-from .alignment import (
-    AlignedOptions,
-    Row,
-    alignment_from_gestures,
-    find_alignment,
-    rotation_of,
-    rotation_onto,
-)
+from .alignment import AlignedOptions, find_alignment
 from .decomposition import Decomposition, Primitives, decompose, polar, primitives
 from .estimation import MotionEstimate, MotionEstimator, estimate_motion
 from .hand_mapper import HandMapper
@@ -42,7 +45,6 @@ from .hand_pair import (
     touching_distances,
 )
 from .method import FOLLOWING, PRESETS, Method, Preset, default_preset, get_preset
-from .moving_robot import MovingRobot
 from .objects import (
     KINDS,
     Box,
@@ -58,7 +60,7 @@ from .objects import (
     surface,
 )
 from .options_file import options_text, read_options
-from .palm import PalmMap, PalmMethod, palm_of, require_points
+from .palm import PalmMethod, palm_of, require_points
 from .presets import (
     IK_NAMES,
     Choice,
@@ -68,10 +70,8 @@ from .presets import (
     preset_choice,
     preset_with,
 )
-from .reference import Placement, Reference
-from .robot_hand import RequestStep, RobotHand
+from .robot_hand import RobotHand
 from .robot_mapper import RobotMapper
-from .robot_step import RobotStep
 from .target_source import TargetSource
 
 __all__ = [

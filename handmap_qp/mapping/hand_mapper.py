@@ -20,7 +20,9 @@ from handmap_core.core import core
 from handmap_core.errors import InvalidInputError
 from handmap_core.mapping.command_time import check_when, own_time
 from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.reference import Placement, Reference
 from handmap_core.mapping.step import AnyStages, MapStep, Stages
 from handmap_core.mapping.targets import (
     AnyPose,
@@ -34,8 +36,6 @@ from handmap_qp.hands import Hand
 from handmap_qp.ik import IkOptions, Motion, PointIk, Task, When
 from .mapper import Mapper
 from .method import BoundMethod, Method
-from .moving_robot import MovingRobot
-from .reference import Placement, Reference
 from .target_source import TargetSource
 
 

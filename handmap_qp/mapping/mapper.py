@@ -7,9 +7,9 @@ from typing import Generic, TypeVar
 
 from handmap_core.core import core
 from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.moving_robot import MovingRobot
+from handmap_core.mapping.reference import Placement
 from handmap_qp.ik import IkOptions, Motion, PointIk
-from .moving_robot import MovingRobot
-from .reference import Placement
 
 Core = TypeVar("Core", core.HandMapper, core.RobotMapper)
 
@@ -23,7 +23,7 @@ class Mapper(Generic[Core]):
         core: What maps the next sample in the compiled core; None where Python has to look at it.
     """
 
-    moving_robot: MovingRobot
+    moving_robot: MovingRobot[PointIk]
     work: WorkLock
     core: Core | None
     # A shallow copy would move the same robot.

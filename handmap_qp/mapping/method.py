@@ -30,6 +30,7 @@ from typing import (
 )
 
 from handmap_core.errors import InvalidOptionsError, did_you_mean
+from handmap_core.mapping.bound_method import BoundMethod as CoreBoundMethod
 from handmap_core.mapping.targets import AnyPose as AnyPose
 from handmap_core.mapping.targets import CoreMap as CoreMap
 from handmap_core.mapping.targets import HumanPose as HumanPose
@@ -39,7 +40,6 @@ from handmap_core.mapping.targets import Targets as Targets
 from handmap_core.mapping.targets import core_pose as core_pose
 from handmap_core.options import Options
 from handmap_core.plugins import Plugins
-from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
 from handmap_qp.ik import (
     IkOptions,
@@ -50,33 +50,17 @@ if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
 
 
-class BoundMethod(Protocol):
+class BoundMethod(CoreBoundMethod, Protocol):
     """A method for two given hands.
 
     Attributes:
         robot: The hand that follows, with the reference points that the method moves.
         contacts: Collision shapes kept apart; None for the choice of
             `IkOptions.avoids_self_collision`.
-        needs_wrist: Use of every sample's wrist pose, for error messages; empty if not needed.
-        reference_needs_wrist: Use of the reference sample's wrist pose, likewise.
-        renews_reference: True if every sample becomes the reference of the next one (Fig. 3).
     """
 
     robot: Hand
     contacts: ShapePairs | None
-    needs_wrist: str
-    reference_needs_wrist: str
-    renews_reference: bool
-
-    def start_palm(self, sample: HumanPose) -> Array:
-        """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
-        """Take both hands as they are for the reference.
-
-        Raises:
-            DegeneratePointsError: If the sample's points do not determine a motion.
-        """
 
 
 @runtime_checkable

@@ -17,33 +17,18 @@ from handmap_core.core import core
 from handmap_core.mapping.command_time import check_dt, own_time
 from handmap_core.mapping.exclusive import WorkLock, exclusively
 from handmap_core.mapping.hand_request import AnyRequest, HandRequest
+from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.readers import JointReader, LandmarkReader
-from handmap_core.mapping.step import SampleStep
+from handmap_core.mapping.reference import Reference, posture_of
+from handmap_core.mapping.robot_step import RequestStep
 from handmap_core.mapping.targets import AnyPose, HumanPose, Targets, core_pose
 from handmap_core.se3 import Array, PoseLike, frozen
 from handmap_qp.hands import Hand
-from handmap_qp.ik import Motion, Task, When
-from .moving_robot import MovingRobot
-from .reference import Reference, posture_of
+from handmap_qp.ik import Motion, PointIk, Task, When
 from .target_source import TargetSource
 
 HOME = frozen(np.eye(4))
 """Where a base is that nothing has moved; a copy of it takes longer, and is no different."""
-
-
-class RequestStep(SampleStep, frozen=True):
-    """What one hand asks of the robot for a sample.
-
-    Attributes:
-        request: The request.
-    """
-
-    request: AnyRequest
-
-    @property
-    def pose(self) -> AnyPose:
-        """The human hand that was mapped."""
-        return self.request.pose
 
 
 class HandState(NamedTuple):
@@ -80,7 +65,7 @@ class RobotHand:
     """
 
     def __init__(
-        self, source: TargetSource, robot: MovingRobot, work: WorkLock
+        self, source: TargetSource, robot: MovingRobot[PointIk], work: WorkLock
     ) -> None:
         self.source = source
         self.moving_robot = robot

@@ -25,9 +25,23 @@ from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.mapping.command_time import check_when
 from handmap_core.mapping.exclusive import WorkLock, exclusively
 from handmap_core.mapping.hands_as_one import rest_as_one, stages_as_one, targets_as_one
+from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.robot_step import (
+    RequestStep,
+    RobotStep,
+    part_step,
+    whole_step,
+)
 from handmap_core.mapping.step import AnyStages, MapStep
 from handmap_core.mapping.targets import Targets
+from handmap_core.mapping.two_palms import (
+    NEAR,
+    TOGETHER,
+    TOGETHER_SHARE,
+    aimed,
+    brought_together,
+)
 from handmap_core.models import RobotHandModel, RobotModel, encode
 from handmap_core.se3 import (
     Array,
@@ -49,11 +63,8 @@ from handmap_qp.human import Verdict, human_name
 from handmap_qp.ik import IkOptions, Motion, PointIk, When
 from .mapper import Mapper
 from .method import BoundMethod, Method
-from .moving_robot import MovingRobot
-from .robot_hand import HOME, RequestStep, RobotHand
-from .robot_step import RobotStep, part_step, whole_step
+from .robot_hand import HOME, RobotHand
 from .target_source import TargetSource
-from .two_palms import NEAR, TOGETHER, TOGETHER_SHARE, aimed, brought_together
 
 ReaderOf = Callable[[TargetSource], LandmarkReader | JointReader]
 """Returns what reads the samples of a hand as they come in."""

@@ -13,13 +13,13 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.mapping.exclusive import exclusively
+from handmap_core.stream.rejoin import RejoinKind
+from handmap_core.stream.smoothing import Smoothing
 from handmap_core.stream.step_table import StepTable
 from handmap_qp.human import HumanSample, Recording
 from handmap_qp.ik import Task, When
 from handmap_qp.mapping import HandMapper, MapStep, RobotHand
 from .hand_follower import HandFollower
-from .rejoin import RejoinKind
-from .smoothing import Smoothing
 
 _RUN = 1000  # samples of a recording that the core maps before progress is told
 

@@ -17,6 +17,8 @@ from handmap_core.core import core
 from handmap_core.errors import HandmapError, expect
 from handmap_core.mapping.exclusive import WorkLock, exclusively
 from handmap_core.options import Option
+from handmap_core.stream.rejoin import Rejoin, RejoinKind
+from handmap_core.stream.smoothing import Smoother, Smoothing
 from handmap_qp.human import HumanSample, Verdict
 from handmap_qp.ik import SHORTEST_DT, Instant, Motion, When
 from handmap_qp.mapping import (
@@ -29,8 +31,6 @@ from handmap_qp.mapping import (
     own_time,
 )
 from .guard import BEHIND, StreamGuard
-from .rejoin import Rejoin, RejoinKind
-from .smoothing import Smoother, Smoothing
 
 Step = TypeVar("Step", bound=SampleStep)
 Step_co = TypeVar("Step_co", bound=SampleStep, covariant=True)

@@ -15,6 +15,7 @@ import pytest
 from marks import crossed
 
 from handmap_core.human.recording import sample_columns
+from handmap_core.stream.rejoin import RejoinKind
 from handmap_qp import (
     METHODS,
     PRESETS,
@@ -29,7 +30,6 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.rejoin import RejoinKind
 
 SAMPLES = tuple(sample_columns(read_recording("demo", "right")))[60:115]
 FIRST, REST = SAMPLES[:30], SAMPLES[30:]

@@ -9,13 +9,14 @@ import pytest
 
 from handmap_core.ik.motion import Motion
 from handmap_core.ik.tasks import TaskRows
+from handmap_core.mapping.reference import Placement
+from handmap_core.mapping.robot_step import RequestStep
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
 from handmap_qp.hands import Configuration
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.reference import Placement
-from handmap_qp.mapping.robot_hand import HandState, RequestStep
+from handmap_qp.mapping.robot_hand import HandState
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.mapping.target_source import TargetSource
 

@@ -25,6 +25,7 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
+from handmap_qp.mapping import PalmMap
 from handmap_qp.mapping.hand_pair import hand_pair, resting_posture, robot_fingers
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import (
@@ -32,7 +33,7 @@ from handmap_qp.mapping.methods.teleoperation import (
     TeleoperationMap,
     smoothstep,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod
+from handmap_qp.mapping.palm import PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 

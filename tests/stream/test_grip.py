@@ -16,6 +16,7 @@ from picks import made_pick
 from handmap_core.human.recording import sample_columns
 from handmap_core.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_core.mapping.step import MapStep
+from handmap_core.stream.closing_pads import ClosingPads
 from handmap_core.stream.object_place import ObjectPlace
 from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
@@ -23,7 +24,6 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points
-from handmap_qp.stream.closing_pads import ClosingPads
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import GripOptions, _Grip

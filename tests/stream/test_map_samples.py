@@ -14,11 +14,11 @@ from oracles.alpha_beta import ReferenceSmoother
 
 from handmap_core.human.recording import Recording, sample_columns
 from handmap_core.human.sample import HumanSample
+from handmap_core.stream.rejoin import Rejoin
 from handmap_core.stream.step_table import StepTable
 from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.stream.rejoin import Rejoin
 
 HUMAN = load_hand(
     "human", points="landmarks", lengths=HumanLengths.from_hand_length(0.19)

@@ -14,6 +14,13 @@ from injection import inject, parse_faults
 
 from handmap_core.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_core.mapping.step import MapStep
+from handmap_core.stream.rejoin import (
+    FINGER_SPEED,
+    PALM_SPEED,
+    TURN_SPEED,
+    Rejoin,
+    RejoinKind,
+)
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -25,13 +32,6 @@ from handmap_qp import (
 )
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import affine
-from handmap_qp.stream.rejoin import (
-    FINGER_SPEED,
-    PALM_SPEED,
-    TURN_SPEED,
-    Rejoin,
-    RejoinKind,
-)
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

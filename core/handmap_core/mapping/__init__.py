@@ -1,15 +1,30 @@
 """From samples of a human hand to targets and a command of a robot's: what every sample needs."""
 
+from .alignment import (
+    Row,
+    alignment_from_gestures,
+    rotation_of,
+    rotation_onto,
+)
 from .command_time import (
     check_dt,
     check_when,
     own_time,
 )
 from .hand_request import HandRequest
+from .palm import PalmMap
 from .readers import (
     JointReader,
     LandmarkReader,
     check_joints,
+)
+from .reference import (
+    Placement,
+    Reference,
+)
+from .robot_step import (
+    RequestStep,
+    RobotStep,
 )
 from .step import (
     MapStep,
@@ -35,15 +50,24 @@ __all__ = [
     "JointReader",
     "LandmarkReader",
     "MapStep",
+    "PalmMap",
+    "Placement",
+    "Reference",
+    "RequestStep",
     "RobotCommand",
     "RobotPosture",
+    "RobotStep",
+    "Row",
     "SampleStep",
     "Stages",
     "Targets",
+    "alignment_from_gestures",
     "arm_held_by",
     "check_dt",
     "check_joints",
     "check_when",
     "core_pose",
     "own_time",
+    "rotation_of",
+    "rotation_onto",
 ]

@@ -6,8 +6,8 @@ import copyreg
 from typing import Any
 
 from handmap_core.core import core
-from handmap_core.mapping.targets import AnyPose, TargetMap, Targets
 from handmap_core.se3 import Array, ArrayStruct
+from .targets import AnyPose, TargetMap, Targets
 
 
 class HandRequest(ArrayStruct, frozen=True):

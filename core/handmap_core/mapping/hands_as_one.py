@@ -12,10 +12,10 @@ from msgspec import structs
 
 from handmap_core.hands import Hand
 from handmap_core.ik import IkResult
-from handmap_core.mapping.targets import HumanPose, Targets
 from handmap_core.se3 import Array
 from .hand_request import AnyRequest
 from .step import Stages
+from .targets import HumanPose, Targets
 
 
 def targets_as_one(targets: Sequence[Targets], robot: Hand) -> Targets:

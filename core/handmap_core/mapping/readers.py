@@ -22,7 +22,6 @@ from handmap_core.human import (
     landmarks_at_rest,
     palm_fit_weights,
 )
-from handmap_core.mapping.targets import HumanPose
 from handmap_core.models import LandmarkReaderModel, encode
 from handmap_core.se3 import (
     Array,
@@ -34,6 +33,7 @@ from handmap_core.se3 import (
     rigid_fit,
     transform_points,
 )
+from .targets import HumanPose
 
 
 class _LandmarkReaderState(TypedDict):

@@ -22,8 +22,8 @@ from handmap_core.ik import (
     result_of,
     wrist_error,
 )
-from handmap_core.mapping.targets import AnyPose, Targets
 from handmap_core.se3 import Array, ArrayStruct, lengths
+from .targets import AnyPose, Targets
 
 StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""

@@ -4,8 +4,12 @@ from .hand_geometry import (
     BONES,
     NEIGHBOURS,
 )
+from .orders import KnownOrders
+from .plausibility import InputCheck
 
 __all__ = [
     "BONES",
     "NEIGHBOURS",
+    "InputCheck",
+    "KnownOrders",
 ]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TypedDict
 
 from handmap_core.core import core
+from handmap_core.mapping import HumanPose, core_pose
 from handmap_core.options import NotNegative, Options, Positive
 from handmap_core.se3 import Array
-from handmap_qp.mapping import HumanPose, core_pose
 
 
 class Smoothing(Options, frozen=True):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import NamedTuple, Protocol
 
-from handmap_core.mapping.targets import HumanPose, RobotPosture, TargetMap
+from handmap_core.hands import Hand
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand
-from .method import BoundMethod
+from .bound_method import BoundMethod
+from .targets import HumanPose, RobotPosture, TargetMap
 
 
 class Placement(Enum):

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from handmap_core.core import core
+from handmap_core.mapping import AnyPose, HumanPose
 from handmap_core.se3 import (
     Array,
     ArrayStruct,
@@ -16,7 +17,6 @@ from handmap_core.se3 import (
     lengths,
     transform_points,
 )
-from handmap_qp.mapping import AnyPose, HumanPose
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""

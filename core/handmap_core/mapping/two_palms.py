@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import structs
 
 from handmap_core.core import core
-from handmap_core.mapping.hand_request import AnyRequest
-from handmap_core.mapping.targets import Targets
+from handmap_core.hands import Hand
+from handmap_core.ik import AttachedPoints, PointOffset
 from handmap_core.se3 import (
     Array,
     affine,
@@ -22,9 +22,9 @@ from handmap_core.se3 import (
     smoothstep,
     transform_points,
 )
-from handmap_qp.hands import Hand
-from handmap_qp.ik import AttachedPoints, PointOffset
+from .hand_request import AnyRequest
 from .palm import PalmMap
+from .targets import Targets
 
 NEAR = 0.4
 """Distance of the person's palms at which the robot's begin to go by it [m]."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.hands import Configuration, PadPair
+from handmap_core.ik import AttachedPoints, TaskRows
 from handmap_core.se3 import Array, lengths, unit
-from handmap_qp.hands import Configuration, PadPair
-from handmap_qp.ik import AttachedPoints, TaskRows
 
 # Weights that leave other terms little: of pads that stay apart, and of their middle [1/m].
 _APART = 6000.0

@@ -6,23 +6,64 @@ come from: a `TargetSource` makes them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
 from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.errors import expect
-from handmap_core.mapping.command_time import CallerClock, check_dt, check_when
-from handmap_core.mapping.hand_request import HandRequest
-from handmap_core.mapping.step import Stages, step_views
-from handmap_core.mapping.targets import Targets
+from handmap_core.hands import Hand
+from handmap_core.ik import IkOptions, IkResult, Motion, Task, When
+from handmap_core.ik.gate import IkGate
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand
-from handmap_qp.ik import IkResult, Motion, PointIk, When
+from .command_time import CallerClock, check_dt, check_when
+from .hand_request import HandRequest
 from .reference import Placement
+from .step import Stages, step_views
+from .targets import Targets
 
 
-class MovingRobot:
+class Solver(Protocol):
+    """The QP that moves a robot, and the gate that knows how it moves; see `PointIk`."""
+
+    @property
+    def gate(self) -> IkGate:
+        """Admits the displacements."""
+
+    @property
+    def options(self) -> IkOptions:
+        """Weights and settings."""
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the core solves the QP."""
+
+    def place(self, q: Array) -> None:
+        """Put the robot at a configuration, shape (nq,), at rest."""
+
+    def solve(
+        self,
+        point_targets: Array,
+        wrist_target: Array | None,
+        dt: When,
+        *,
+        rest: Array | None = None,
+        regularisation: Array | None = None,
+        tasks: Sequence[Task] = (),
+        margins: Array | None = None,
+        speed: float = 1.0,
+    ) -> IkResult:
+        """Move the robot towards its targets for one sample; see `PointIk.solve`."""
+
+    def hold(self, dt: When) -> IkResult:
+        """Bring the robot to a stop, without targets."""
+
+
+AnySolver = TypeVar("AnySolver", bound=Solver)
+
+
+class MovingRobot(Generic[AnySolver]):
     """A robot that a QP moves.
 
     Args:
@@ -40,7 +81,7 @@ class MovingRobot:
         InvalidInputError: If `usual_dt` cannot be used.
     """
 
-    def __init__(self, point_ik: PointIk, usual_dt: float) -> None:
+    def __init__(self, point_ik: AnySolver, usual_dt: float) -> None:
         self.point_ik = point_ik
         self.usual_dt = check_dt(usual_dt)
         self.placement = Placement.KNOWN
@@ -155,6 +196,6 @@ class MovingRobot:
             self.point_ik.place(q)
             self.placement = Placement.KNOWN
 
-    def replace_solver(self, point_ik: PointIk) -> None:
+    def replace_solver(self, point_ik: AnySolver) -> None:
         """Move by another solver, which has this motion."""
         self.point_ik = point_ik

@@ -6,9 +6,25 @@ from operator import attrgetter
 
 from msgspec import structs
 
-from handmap_core.mapping.step import AnyStages, MapStep
-from handmap_qp.hands import Side
-from .robot_hand import RequestStep
+from handmap_core.hands import Side
+from .hand_request import AnyRequest
+from .step import AnyStages, MapStep, SampleStep
+from .targets import AnyPose
+
+
+class RequestStep(SampleStep, frozen=True):
+    """What one hand asks of the robot for a sample.
+
+    Attributes:
+        request: The request.
+    """
+
+    request: AnyRequest
+
+    @property
+    def pose(self) -> AnyPose:
+        """The human hand that was mapped."""
+        return self.request.pose
 
 
 class RobotStep(MapStep, frozen=True, kw_only=True):
