@@ -27,9 +27,9 @@ errors se3 options models client/__init__ client/messages
 hands/configuration
 ik/qp ik/collision
 mapping/alignment mapping/decomposition mapping/estimation
-mapping/hand_mapper mapping/mapper
+mapping/hand_mapper
 mapping/method mapping/named_method mapping/palm
-mapping/robot_hand mapping/robot_mapper
+mapping/robot_mapper
 mapping/target_source
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/follower stream/grip

@@ -11,13 +11,12 @@ import warnings
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_core import _core
 from handmap_core.errors import HandError, InvalidInputError, expect
 from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values, moved_by
 from handmap_core.se3 import (
@@ -48,6 +47,9 @@ from .model import (
 from .sources import read_urdf
 from .spec import HandSpec, Mount, PointSpec, Positions, Problems, check_point, twice
 from .urdf import NO_LIMIT
+
+if TYPE_CHECKING:
+    from handmap_core import _core
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""

@@ -12,6 +12,7 @@ from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.palm import PalmMap
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
 from handmap_core.mapping.reference import Placement, Reference
+from handmap_core.mapping.robot_hand import RobotHand
 from handmap_core.mapping.robot_step import RequestStep, RobotStep
 from handmap_core.mapping.step import (
     MapStep,
@@ -70,7 +71,6 @@ from .presets import (
     preset_choice,
     preset_with,
 )
-from .robot_hand import RobotHand
 from .robot_mapper import RobotMapper
 from .target_source import TargetSource
 

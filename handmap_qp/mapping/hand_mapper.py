@@ -20,6 +20,7 @@ from handmap_core.core import core
 from handmap_core.errors import InvalidInputError
 from handmap_core.mapping.command_time import check_when, own_time
 from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.mapper import Mapper
 from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
 from handmap_core.mapping.reference import Placement, Reference
@@ -34,12 +35,11 @@ from handmap_core.mapping.targets import (
 from handmap_core.se3 import PoseLike, QuatOrder, check_pose
 from handmap_qp.hands import Hand
 from handmap_qp.ik import IkOptions, Motion, PointIk, Task, When
-from .mapper import Mapper
 from .method import BoundMethod, Method
 from .target_source import TargetSource
 
 
-class HandMapper(Mapper[core.HandMapper]):
+class HandMapper(Mapper[core.HandMapper, PointIk]):
     """Turns the motion of a human hand into the motion of a robot hand.
 
     The first sample is the reference unless `reset` has given one. There the robot is at rest with

@@ -17,8 +17,8 @@ from handmap_core.stream.rejoin import RejoinKind
 from handmap_core.stream.smoothing import Smoothing
 from handmap_core.stream.step_table import StepTable
 from handmap_qp.human import HumanSample, Recording
-from handmap_qp.ik import Task, When
-from handmap_qp.mapping import HandMapper, MapStep, RobotHand
+from handmap_qp.ik import PointIk, Task, When
+from handmap_qp.mapping import HandMapper, MapStep, RobotHand, TargetSource
 from .hand_follower import HandFollower
 
 _RUN = 1000  # samples of a recording that the core maps before progress is told
@@ -118,7 +118,8 @@ class Follower(HandFollower[MapStep]):
 
 @contextmanager
 def further_terms(
-    mappers: Sequence[HandMapper | RobotHand], terms: Sequence[Sequence[Task]]
+    mappers: Sequence[HandMapper | RobotHand[TargetSource, PointIk]],
+    terms: Sequence[Sequence[Task]],
 ) -> Iterator[None]:
     """Give mappers further terms of the QP's cost for a while.
 

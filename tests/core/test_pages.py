@@ -18,8 +18,8 @@ from marks import rotated
 from service_tools import address_of, serving
 
 import handmap_qp
+from handmap_core.mapping.mapper import Mapper
 from handmap_qp import cli, read_recording
-from handmap_qp.mapping.mapper import Mapper
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from numpy.typing import ArrayLike
 
-from handmap_core import _core
 from handmap_core.se3 import Array, PoseLike
 from .configuration import Configuration, Frame, KinematicModel
 from .names import Names, Side
+
+if TYPE_CHECKING:
+    from handmap_core import _core
 
 
 class Point(Protocol):

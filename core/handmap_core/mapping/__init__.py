@@ -12,6 +12,7 @@ from .command_time import (
     own_time,
 )
 from .hand_request import HandRequest
+from .moving_robot import MovingRobot
 from .palm import PalmMap
 from .readers import (
     JointReader,
@@ -22,6 +23,7 @@ from .reference import (
     Placement,
     Reference,
 )
+from .robot_hand import RobotHand
 from .robot_step import (
     RequestStep,
     RobotStep,
@@ -50,11 +52,13 @@ __all__ = [
     "JointReader",
     "LandmarkReader",
     "MapStep",
+    "MovingRobot",
     "PalmMap",
     "Placement",
     "Reference",
     "RequestStep",
     "RobotCommand",
+    "RobotHand",
     "RobotPosture",
     "RobotStep",
     "Row",

@@ -7,7 +7,7 @@ come from: a `TargetSource` makes them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from msgspec import structs
 
@@ -23,6 +23,9 @@ from .reference import Placement
 from .step import Stages, step_views
 from .targets import Targets
 
+if TYPE_CHECKING:
+    from handmap_core import _core
+
 
 class Solver(Protocol):
     """The QP that moves a robot, and the gate that knows how it moves; see `PointIk`."""
@@ -30,6 +33,10 @@ class Solver(Protocol):
     @property
     def gate(self) -> IkGate:
         """Admits the displacements."""
+
+    @property
+    def core(self) -> _core.Ik:
+        """The compiled core of the robot."""
 
     @property
     def options(self) -> IkOptions:

@@ -35,11 +35,11 @@ from .targets import CoreMap, HumanPose, TargetMap
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
-Human = TypeVar("Human", bound=Hand)
-Bound = TypeVar("Bound", bound=BoundMethod)
+Human_co = TypeVar("Human_co", bound=Hand, covariant=True)
+Bound_co = TypeVar("Bound_co", bound=BoundMethod, covariant=True)
 
 
-class TargetSource(Generic[Human, Bound]):
+class TargetSource(Generic[Human_co, Bound_co]):
     """Turns the samples of a human hand into targets of a robot hand.
 
     Mapping a sample has two halves. `prepare` and `request` may raise, and change nothing. `take`
@@ -68,9 +68,9 @@ class TargetSource(Generic[Human, Bound]):
 
     def __init__(
         self,
-        human: Human,
+        human: Human_co,
         robot: Hand,
-        bind: Callable[[], Bound],
+        bind: Callable[[], Bound_co],
         *,
         tasks: Sequence[Task] = (),
         quat_order: QuatOrder | None = None,

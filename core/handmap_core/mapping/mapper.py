@@ -6,15 +6,15 @@ from copy import deepcopy
 from typing import Generic, TypeVar
 
 from handmap_core.core import core
-from handmap_core.mapping.exclusive import WorkLock, exclusively
-from handmap_core.mapping.moving_robot import MovingRobot
-from handmap_core.mapping.reference import Placement
-from handmap_qp.ik import IkOptions, Motion, PointIk
+from handmap_core.ik import IkOptions, Motion
+from .exclusive import WorkLock, exclusively
+from .moving_robot import AnySolver, MovingRobot
+from .reference import Placement
 
 Core = TypeVar("Core", core.HandMapper, core.RobotMapper)
 
 
-class Mapper(Generic[Core]):
+class Mapper(Generic[Core, AnySolver]):
     """Base of mappers.
 
     Attributes:
@@ -23,7 +23,7 @@ class Mapper(Generic[Core]):
         core: What maps the next sample in the compiled core; None where Python has to look at it.
     """
 
-    moving_robot: MovingRobot[PointIk]
+    moving_robot: MovingRobot[AnySolver]
     work: WorkLock
     core: Core | None
     # A shallow copy would move the same robot.
@@ -35,7 +35,7 @@ class Mapper(Generic[Core]):
         return vars(self).copy()
 
     @property
-    def point_ik(self) -> PointIk:
+    def point_ik(self) -> AnySolver:
         """The robot's posture and the QP. Read it only: changing it breaks the mapper."""
         return self.moving_robot.point_ik
 

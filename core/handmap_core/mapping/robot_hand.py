@@ -7,25 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import perf_counter
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_core.core import core
-from handmap_core.mapping.command_time import check_dt, own_time
-from handmap_core.mapping.exclusive import WorkLock, exclusively
-from handmap_core.mapping.hand_request import AnyRequest, HandRequest
-from handmap_core.mapping.moving_robot import MovingRobot
-from handmap_core.mapping.readers import JointReader, LandmarkReader
-from handmap_core.mapping.reference import Reference, posture_of
-from handmap_core.mapping.robot_step import RequestStep
-from handmap_core.mapping.targets import AnyPose, HumanPose, Targets, core_pose
+from handmap_core.hands import Hand
+from handmap_core.ik import Motion, Task, When
 from handmap_core.se3 import Array, PoseLike, frozen
-from handmap_qp.hands import Hand
-from handmap_qp.ik import Motion, PointIk, Task, When
+from .bound_method import BoundMethod
+from .command_time import check_dt, own_time
+from .exclusive import WorkLock, exclusively
+from .hand_request import AnyRequest, HandRequest
+from .moving_robot import AnySolver, MovingRobot
+from .readers import JointReader, LandmarkReader
+from .reference import Reference, posture_of
+from .robot_step import RequestStep
 from .target_source import TargetSource
+from .targets import AnyPose, HumanPose, Targets, core_pose
 
 HOME = frozen(np.eye(4))
 """Where a base is that nothing has moved; a copy of it takes longer, and is no different."""
@@ -42,7 +43,10 @@ class HandState(NamedTuple):
     base: Array
 
 
-class RobotHand:
+Source = TypeVar("Source", bound=TargetSource[Hand, BoundMethod])
+
+
+class RobotHand(Generic[Source, AnySolver]):
     """One hand of a robot: the human's side of it, and its last request.
 
     It moves nothing. `RobotMapper.step` takes its requests, and moves the robot.
@@ -65,7 +69,7 @@ class RobotHand:
     """
 
     def __init__(
-        self, source: TargetSource, robot: MovingRobot[PointIk], work: WorkLock
+        self, source: Source, robot: MovingRobot[AnySolver], work: WorkLock
     ) -> None:
         self.source = source
         self.moving_robot = robot
