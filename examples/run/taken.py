@@ -33,7 +33,7 @@ mapping/robot_mapper
 mapping/target_source
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/follower stream/grip
-stream/guard stream/hand_follower stream/hand_grip
+stream/guard stream/hand_grip
 stream/robot_follower
 trackers/plausibility
 """

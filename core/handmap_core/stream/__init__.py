@@ -1,7 +1,14 @@
 """What a stream of samples makes of the robot: checks and tables that need no mapper."""
 
 from .following import FollowingCheck
-from .guard import FROZEN_AFTER, GAP, SETTLING, ArrivalCredit, SampleClock, StreamGuard
+from .guard import (
+    FROZEN_AFTER,
+    GAP,
+    SETTLING,
+    ArrivalCredit,
+    SampleClock,
+    StreamGuard,
+)
 from .smoothing import (
     SMOOTH_IK,
     Smoothing,

@@ -15,22 +15,24 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.errors import HandmapError, expect
-from handmap_core.mapping.exclusive import WorkLock, exclusively
-from handmap_core.options import Option
-from handmap_core.stream.rejoin import Rejoin, RejoinKind
-from handmap_core.stream.smoothing import Smoother, Smoothing
-from handmap_qp.human import HumanSample, Verdict
-from handmap_qp.ik import SHORTEST_DT, Instant, Motion, When
-from handmap_qp.mapping import (
+from handmap_core.hands import Hand
+from handmap_core.human import HumanSample, Verdict
+from handmap_core.ik import SHORTEST_DT, Instant, Motion, When
+from handmap_core.mapping import (
     AnyPose,
     HumanPose,
     SampleStep,
-    TargetSource,
     check_dt,
     check_when,
     own_time,
 )
+from handmap_core.mapping.bound_method import BoundMethod
+from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.target_source import TargetSource
+from handmap_core.options import Option
 from .guard import BEHIND, StreamGuard
+from .rejoin import Rejoin, RejoinKind
+from .smoothing import Smoother, Smoothing
 
 Step = TypeVar("Step", bound=SampleStep)
 Step_co = TypeVar("Step_co", bound=SampleStep, covariant=True)
@@ -43,12 +45,14 @@ class SampleMapper(Protocol[Step_co]):
     """What maps the samples of a hand: a `HandMapper`, or one hand of a `RobotMapper`.
 
     Attributes:
-        source: The human's side of the hand.
         work: Lets one thread at a time work on it.
     """
 
-    source: TargetSource
     work: WorkLock
+
+    @property
+    def source(self) -> TargetSource[Hand, BoundMethod]:
+        """The human's side of the hand."""
 
     @property
     def core(self) -> CoreReader | None:
@@ -75,6 +79,7 @@ class HandFollower(Generic[Step]):
 
     Args:
         mapper: Maps the samples; its human hand must be scaled to the person.
+        guard: Judges them.
         step_type: Makes a step of what the core made of a sample, and of fields of `SampleStep`.
         rejoin: As of `Follower`.
         smoothing: Likewise.
@@ -87,6 +92,7 @@ class HandFollower(Generic[Step]):
     def __init__(
         self,
         mapper: SampleMapper[Step],
+        guard: StreamGuard,
         step_type: Callable[..., Step],
         *,
         rejoin: RejoinKind = "glide",
@@ -105,7 +111,7 @@ class HandFollower(Generic[Step]):
             value=smoothing,
         )
         self._smoother = Smoother(smoothing)
-        self._guard = StreamGuard(self._source.human)
+        self._guard = guard
         self._return = Rejoin(rejoin)
         self._reference: HumanPose | None = None
         # Where the time of the stream begins on the robot's clock [s]; None before a first command.
