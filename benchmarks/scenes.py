@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 
 from handmap_qp import Hand, HandSpec, load_hand, read_recording
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
+from handmap_qp.human import HumanMotion
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.recording import HumanMotion
 
 ROBOTS = ("three_finger", "allegro")
 """Robots by family; `robot_for` returns the one for a side."""

@@ -10,7 +10,7 @@ import scenes
 
 from handmap_qp import Hand, HandSpec, PointSpec, load_hand, load_synergies
 from handmap_qp.hands.spec import PalmSpec, WristSpec
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.se3 import affine
 
 _RATE = 90.0

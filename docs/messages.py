@@ -16,6 +16,8 @@ from typing import Any, NamedTuple, get_args
 import docstring_parser
 import msgspec
 
+from handmap_core.human.sample import RULES
+from handmap_core.ik.options import IkOptions
 from handmap_qp.apps.service.cli import SCHEMAS
 from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.apps.service.settings import Settings
@@ -33,8 +35,6 @@ from handmap_qp.client.messages import (
     Pose,
     Request,
 )
-from handmap_qp.human.sample import RULES
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.options import Options, options_of
 

@@ -6,7 +6,7 @@ python examples/06_own_task.py
 import numpy as np
 
 from handmap_qp import HandMapper, TaskRows, load_hand
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 
 WEIGHT = 1000.0  # per metre; that of a reference point is 100
 

@@ -20,11 +20,11 @@ from injection import FAULT_KINDS, inject, parse_faults
 from lies import Take, all_lies, live_lies, synthetic_takes
 from pinocchio import exp3
 
+from handmap_core.human.findings import Finding
+from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import HumanSample, Verdict, human_name
 from handmap_qp import load_hand, read_recording
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.human.findings import Finding
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
 

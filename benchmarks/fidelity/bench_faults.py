@@ -25,17 +25,17 @@ import numpy as np
 import pinocchio as pin
 from injection import FAULT_KINDS, inject, parse_faults
 
+from handmap_core.human.recording import mirrored, sample_columns
+from handmap_core.human.sample import HumanSample
+from handmap_core.mapping.step import MapStep
+from handmap_core.stream.rejoin import RejoinKind
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import mirrored, sample_columns
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.stream.rejoin import RejoinKind
 
 FAULTS = (
     "dropout@{}",

@@ -25,10 +25,10 @@ import common
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_core.human.sample import PALM, TIPS
 from handmap_qp import load_hand, read_recording
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.sample import PALM, TIPS
 from handmap_qp.se3 import rigid_fit
 
 _FINGERS = {"index": "index", "middle": "middle", "ring": "ring", "little": "pinky"}

@@ -32,7 +32,8 @@ from handmap_qp import HandmapError, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import map_recording
-from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands import FINGERS
+from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.stream.measurement import measure_person
 

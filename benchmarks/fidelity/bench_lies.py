@@ -29,14 +29,14 @@ import lies
 import numpy as np
 
 from handmap_core.core import core
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import HumanSample, Verdict, human_name
+from handmap_core.trackers.hand_geometry import log_size, palmar_evidence
 from handmap_qp import InvalidInputError, load_hand, read_recording
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.file_evidence import hints, recording_facts
-from handmap_qp.trackers.hand_geometry import log_size, palmar_evidence
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck, examine_recording
 

@@ -21,7 +21,7 @@ from pseudoinverse import PseudoinverseIk
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.apps.offline.trajectory import Trajectory
-from handmap_qp.hands.configuration import moved_by
+from handmap_qp.hands import moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 

@@ -24,13 +24,13 @@ from typing import Any
 import common
 import numpy as np
 
+from handmap_core.human.recording import Recording
 from handmap_qp import Follower, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import TIP, trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, trajectory_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.presets import preset_choice
 
 HELD_OUT = ("rgb_mediapipe_right", "quest3_webxr_left")

@@ -34,6 +34,7 @@ from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -42,7 +43,7 @@ from handmap_qp.hands.robot import (
 )
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import HandSpec, Side
+from handmap_qp.hands.spec import HandSpec
 from handmap_qp.hands.urdf import cut_subtree, joints_by_name, parse_urdf
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.mapping.presets import get_preset

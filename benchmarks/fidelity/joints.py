@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from bench_hands import load_hands
 
+from handmap_core.human.recording import mirrored
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import HandmapError
-from handmap_qp.human.recording import mirrored
 from handmap_qp.stream.measurement import measure_person
 
 

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.live.mediapipe_source import MediapipeSource, environment_python
 from handmap_qp.errors import HandmapError
+from handmap_qp.hands import Side
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import rigid_fit
 
 RATE = 30.0

@@ -27,7 +27,7 @@ from handmap_qp import Hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, angles_between, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_robot
-from handmap_qp.hands.human import THUMB
+from handmap_qp.hands import THUMB
 from handmap_qp.se3 import rigid_fit, unit
 from handmap_qp.stream.measurement import measure_person
 

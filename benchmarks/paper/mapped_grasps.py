@@ -9,9 +9,9 @@ from experiment_variants import moved_grasp
 from scipy.spatial.transform import Rotation, Slerp
 from section_four.experiment import HandMotion, Scene
 
+from handmap_core.human.recording import Recording
 from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import affine
 
 # Samples per second of a mapped grasp [1/s], and time for which the human is still first [s].

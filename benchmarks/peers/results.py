@@ -23,13 +23,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.human.recording import Recording, mirrored
+from handmap_core.human.sample import PALM
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.human.sample import PALM
 from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points
 from handmap_qp.trackers.formats.base import SIDES
 from peers import build, runner

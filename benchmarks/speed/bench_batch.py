@@ -37,6 +37,7 @@ from common import (
 
 import handmap_qp.apps.datasets.episodes as job_module
 import handmap_qp.apps.offline.trajectory as mapping_module
+from handmap_core.human.recording import Recording, mirrored, sample_columns
 from handmap_qp import Follower, HandMapper, load_hand
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
@@ -44,7 +45,6 @@ from handmap_qp.apps.datasets.engines import pool_engine
 from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import Job, JobOptions
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import Recording, mirrored, sample_columns
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import Source, read_recording, write_recordings
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat

@@ -36,13 +36,13 @@ import synthetic
 from scipy.optimize import nnls
 
 from handmap_core.core import core
+from handmap_core.ik.gate import Rows
+from handmap_core.ik.tasks import Goal
 from handmap_qp import HandMapper, IkOptions, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.human.recording import HumanMotion
-from handmap_qp.ik.collision import Rows
+from handmap_qp.human import HumanMotion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Goal
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 from handmap_qp.reference.problem import direct_cost

@@ -36,7 +36,7 @@ import pinocchio as pin
 import shared_hands
 import synthetic
 
-import handmap_qp.mapping.readers
+import handmap_core.mapping.readers
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
@@ -49,7 +49,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.reference import inverse_kinematics, targets
 
@@ -141,7 +141,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     solver = ik.reference
     assert solver
     wrapped = [
-        (handmap_qp.mapping.readers, "check_pose", "checks"),
+        (handmap_core.mapping.readers, "check_pose", "checks"),
         (mapper.source.joints, "read", "human FK"),
         (targets, "estimate", "estimation"),
         (targets, "polar", "decomposition"),

@@ -25,9 +25,9 @@ import shared_hands
 from peers import build
 
 from handmap_qp import Hand, Recording, read_recording
+from handmap_qp.human import HumanMotion
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.presets import default_preset
 from handmap_qp.stream.measurement import measure_person

@@ -37,13 +37,13 @@ from handmap_score.tasks.mapping import Mapping, make_mapping
 from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.task import Scene
 
+from handmap_core.human.recording import mirrored
 from handmap_qp import Hand, load_hand
 from handmap_qp.apps.offline.hand_trace import trace_human
 from handmap_qp.apps.offline.trajectory import held_samples
 from handmap_qp.hands import PadPair
 from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.human import Recording, measure_hand, tip_gaps
-from handmap_qp.human.recording import mirrored
 from handmap_qp.mapping import robot_fingers
 from handmap_qp.se3 import Array, inverse_pose, transform_points, unit
 from handmap_qp.trackers.formats import read_recording

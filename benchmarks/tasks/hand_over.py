@@ -37,9 +37,9 @@ from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.hands import Side
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.objects import Box
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import affine, inverse_pose, transform_points, unit

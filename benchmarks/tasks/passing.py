@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 from demo_recording import GESTURES, HAND_LENGTH
 
+from handmap_core.human.sample import human_name
 from handmap_qp import HumanLengths, load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import human_name
+from handmap_qp.hands import Side
 from handmap_qp.se3 import affine, smoothstep
 
 RATE = 60.0

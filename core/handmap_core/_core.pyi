@@ -16,13 +16,13 @@ from typing import Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from handmap_core.human.findings import FindingNumbers
+from handmap_core.human.sample import VerdictNumbers
+from handmap_core.ik.motion import When
+from handmap_core.ik.result import IkResult, Status
+from handmap_core.mapping.step import RobotCommand, StepSummary
+from handmap_core.mapping.targets import CoreMap, Targets
 from handmap_core.se3 import Array
-from handmap_qp.human.findings import FindingNumbers
-from handmap_qp.human.sample import VerdictNumbers
-from handmap_qp.ik.motion import When
-from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.mapping.method import CoreMap, Targets
-from handmap_qp.mapping.step import RobotCommand, StepSummary
 
 _Made_co = TypeVar("_Made_co", covariant=True)
 

@@ -10,7 +10,6 @@ Pinocchio, does not have. Files in `run` take the place of those that need more.
 from __future__ import annotations
 
 import ast
-import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -25,45 +24,32 @@ OWN = Path(__file__).with_name("run")
 
 TAKEN = """
 errors se3 options models client/__init__ client/messages
-hands/configuration hands/pad
-human/findings human/recording human/sample
-ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/command_time mapping/estimation
-mapping/exclusive mapping/hand_mapper mapping/hand_request mapping/hands_as_one mapping/mapper
-mapping/method mapping/moving_robot mapping/named_method mapping/palm mapping/readers
-mapping/reference mapping/robot_hand mapping/robot_mapper mapping/robot_step mapping/step
-mapping/target_source mapping/two_palms
+hands/configuration
+ik/qp ik/collision
+mapping/alignment mapping/estimation
+mapping/hand_mapper
+mapping/method mapping/named_method mapping/palm
+mapping/robot_mapper
+mapping/target_source
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
-stream/closing_pads stream/follower stream/following stream/grip
-stream/guard stream/hand_follower stream/hand_grip stream/object_place stream/rejoin
-stream/robot_follower stream/smoothing stream/step_table
-trackers/hand_geometry trackers/plausibility trackers/wrist_axes
+stream/follower stream/grip
+stream/guard stream/hand_grip
+stream/robot_follower
+trackers/plausibility
 """
-DATA = ("human/rules.json",)
-
 # What is written otherwise: the name, then what is missing here.
 CHANGES = (
     ("handmap_qp", NAME),
     ("import pinocchio as pin", f"from {NAME} import rotations as pin"),
-    # numpy 2 has these.
+    # numpy 2 has this.
     (".mT", ".swapaxes(-1, -2)"),
-    ("np.vecdot(", 'np.einsum("...i,...i", '),
 )
-# Constants of files that need more than numpy.
-CONSTANTS = {
-    "hands/contact_yield": ("NEAR",),
-    "hands/hand": ("LONGEST_STOP",),
-    "hands/human": ("FINGERS", "THUMB", "CONTACT_GAP"),
-    "hands/shape_pairs": ("LINK_MARGIN",),
-    "hands/spec": ("OTHER_SIDE", "UPRIGHT"),
-    "hands/stiffness": ("SLIDING_STIFFNESS", "STIFFNESS"),
-}
 # These run beside `handmap_qp`, whose objects they write down.
 BESIDE = ("command.py", "saving.py")
 # Imported where an option is used that no saved hand has: other formulations and solvers.
-UNUSED = ("reference.inverse_kinematics", "reference.task_rows")
+UNUSED = ("reference.inverse_kinematics",)
 # Names of a package that are in a file of `run`.
-ELSEWHERE = {"ik": {"PointIk": "saved"}}
+ELSEWHERE = {"ik": {"PointIk": f"{NAME}.ik.saved"}}
 PACKAGES = ("human", "ik", "mapping", "stream", "trackers")
 # All that may be imported besides.
 PRESENT = {*sys.stdlib_module_names, "handmap_core", "msgspec", "numpy"}
@@ -92,25 +78,14 @@ def homes_in(package: str) -> dict[str, str]:
     """Return the module of each name of a package, by its `__init__.py`."""
     module = ast.parse(read(ROOT / package / "__init__.py"))
     homes = {
-        alias.name: node.module or alias.name
+        alias.name: resolve_name(
+            "." * node.level + (node.module or alias.name), f"{NAME}.{package}"
+        )
         for node in module.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
     return homes | ELSEWHERE.get(package, {})
-
-
-def constants_text() -> str:
-    """Return the lines of the tree that give `CONSTANTS` their values."""
-    lines = []
-    for file, names in CONSTANTS.items():
-        text = read(ROOT / f"{file}.py")
-        for name in names:
-            found = re.search(rf"^{name}\b.* = .*\n", text, re.MULTILINE)
-            if found is None:
-                stop(f"{file}.py has no {name}; change CONSTANTS")
-            lines.append(found[0])
-    return "".join(lines)
 
 
 def imports_of(tree: ast.AST, package: str) -> Iterator[tuple[str, str]]:
@@ -146,7 +121,7 @@ def check_imports(written: dict[str, str], homes: dict[str, dict[str, str]]) -> 
         names[package] = {""} | {
             each
             for each, home in own.items()
-            if each in names.get(f"{package}.{home}", ())
+            if home.startswith("handmap_core.") or each in names.get(home, ())
         }
     for file, text in written.items():
         package = ".".join((NAME, *Path(file).parent.parts))
@@ -170,14 +145,13 @@ def write_package(folder: Path) -> Path:
         if not any(before in text for text in texts.values()):
             stop(f"no file has {before!r} any more; change CHANGES")
     written = {name: changed(text) for name, text in texts.items()}
-    written["hands/__init__.py"] += constants_text()
     homes = {name: homes_in(name) for name in PACKAGES}
     check_imports(written, homes)
     for name, each in homes.items():
         written[f"{name}/__init__.py"] = (
             f"from {NAME}.lazy import named\n\n__getattr__ = named(__name__, {each})\n"
         )
-    written |= beside | {name: read(ROOT / name) for name in DATA}
+    written |= beside
     for name, text in written.items():
         target = package / name
         target.parent.mkdir(parents=True, exist_ok=True)

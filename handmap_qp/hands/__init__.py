@@ -1,5 +1,27 @@
 """Any hand: its description, its Pinocchio model, the hands that come with the package."""
 
+from handmap_core.hands import (
+    CONTACT_GAP,
+    FINGERS,
+    LINK_MARGIN,
+    LONGEST_STOP,
+    NEAR,
+    OTHER_SIDE,
+    SIDES,
+    SLIDING_STIFFNESS,
+    STIFFNESS,
+    THUMB,
+    UPRIGHT,
+    AttachedPoints,
+    Configuration,
+    ContactYield,
+    Names,
+    Pad,
+    PadPair,
+    Side,
+    Values,
+    moved_by,
+)
 from .collision_shapes import (
     add_stand_ins,
     body_models,
@@ -10,8 +32,8 @@ from .collision_shapes import (
     read_collision_shapes,
     shape_model,
 )
-from .configuration import AttachedPoints, Configuration, moved_by
-from .contact_yield import NEAR, ContactYield
+from .compiled import core_tree
+from .configuration import PinocchioConfiguration
 from .fingers import (
     PARALLEL,
     Finger,
@@ -24,8 +46,8 @@ from .fingers import (
     partner_names,
     place_of,
 )
-from .hand import LONGEST_STOP, Hand, Points
-from .human import CONTACT_GAP, FINGERS, HUMAN_JOINTS, LARGEST_ROLL, THUMB, HumanLengths
+from .hand import Hand, Points
+from .human import HUMAN_JOINTS, LARGEST_ROLL, HumanLengths
 from .library import (
     HUMAN_HANDS,
     ROBOT_FILES,
@@ -39,7 +61,6 @@ from .library import (
     why_missing,
 )
 from .model import read_mimic_rules
-from .pad import Pad, PadPair
 from .pads import ball_in, find_pads
 from .robot import (
     BASE,
@@ -51,7 +72,6 @@ from .robot import (
     read_robot_spec,
 )
 from .shape_pairs import (
-    LINK_MARGIN,
     ShapePairs,
     all_pairs,
     common_pairs,
@@ -72,9 +92,6 @@ from .sources import (
     urdf_path,
 )
 from .spec import (
-    OTHER_SIDE,
-    SIDES,
-    UPRIGHT,
     ArmSpec,
     CollisionSpec,
     Document,
@@ -83,13 +100,10 @@ from .spec import (
     Links,
     MimicSpec,
     Mount,
-    Names,
     PadSpec,
     PalmSpec,
     PointSpec,
-    Side,
     Upright,
-    Values,
     Vector,
     WristSpec,
     is_named_source,
@@ -98,7 +112,6 @@ from .spec import (
     read_yaml,
     typed,
 )
-from .stiffness import SLIDING_STIFFNESS, STIFFNESS
 from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
@@ -158,6 +171,7 @@ __all__ = [
     "PadSpec",
     "PalmKinematics",
     "PalmSpec",
+    "PinocchioConfiguration",
     "Place",
     "PointSpec",
     "Points",
@@ -177,6 +191,7 @@ __all__ = [
     "child_of",
     "common_pairs",
     "convex_hull",
+    "core_tree",
     "cut_subtree",
     "distal_shapes",
     "edges",

@@ -5,83 +5,21 @@ It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_core.errors import InvalidInputError
-from handmap_core.se3 import Array, cross_matrices, frozen
+from handmap_core.hands import AttachedPoints
+from handmap_core.se3 import Array, frozen
 
 if TYPE_CHECKING:
     from .hand import Hand
 
 
-def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
-    """Return 1 for every velocity coordinate that moves a joint's frame.
-
-    Args:
-        model: The model.
-        joints: Indices of k joints.
-
-    Returns:
-        Shape (k, model.nv).
-    """
-    # Parents have smaller indices than their children.
-    is_support = np.eye(model.njoints)
-    for joint, parent in enumerate([*model.parents][1:], start=1):
-        is_support[joint] += is_support[parent]
-    owners = np.repeat(np.arange(model.njoints), model.nvs)
-    return is_support[[*joints]][:, owners]
-
-
-class AttachedPoints:
-    """Points that are fixed to links of a hand, with their derivatives.
-
-    Args:
-        hand: The hand.
-        places: Joint of the model that carries each point, and the point's offset in the joint's
-            frame [m].
-    """
-
-    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
-        self.joints = [joint for joint, _ in places]
-        self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
-            -1, 3
-        )
-        # Which coordinates of the model move each point, shape (n, 1, model.nv).
-        self.moved = moved_by(hand.model, self.joints)[:, None]
-
-    @classmethod
-    def reference_points(cls, hand: Hand) -> Self:
-        """Return the hand's reference points."""
-        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
-        return cls(hand, places)
-
-    def __len__(self) -> int:
-        return len(self.joints)
-
-    def positions(self, hand: Configuration) -> Array:
-        """Return the points in the world [m], shape (n, 3)."""
-        placed = zip(self.joints, self.offsets, strict=True)
-        points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
-        return np.reshape(points, (-1, 3))
-
-    def jacobians(self, hand: Configuration) -> Array:
-        """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
-        return hand.contracted(self.velocities(hand))
-
-    def velocities(self, hand: Configuration) -> Array:
-        """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
-        linear, angular = hand.data.J.reshape(2, 3, -1)
-        # The velocity at the world's origin plus w x p, which is -p x w, is that of the point p.
-        turning = cross_matrices(self.positions(hand)) @ angular
-        return (linear - turning) * self.moved
-
-
-class Configuration:
+class PinocchioConfiguration:
     """One posture of a model, with its reference points; at first Pinocchio's neutral one.
 
     `place` and `displace` put it somewhere else.

@@ -17,10 +17,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_core.hands import FINGERS, THUMB, moved_by
 from handmap_core.se3 import Array, lengths, unit
-from .configuration import moved_by
 from .hand import Hand
-from .human import FINGERS, THUMB
 from .spec import PointSpec
 
 PARALLEL = 0.85

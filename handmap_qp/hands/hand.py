@@ -11,13 +11,14 @@ import warnings
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import HandError, InvalidInputError, expect
+from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values, moved_by
 from handmap_core.se3 import (
     Array,
     Arrays,
@@ -27,9 +28,9 @@ from handmap_core.se3 import (
     check_pose,
     frozen,
 )
-from .configuration import Configuration, moved_by
+from .compiled import core_tree
+from .configuration import PinocchioConfiguration
 from .human import (
-    CONTACT_GAP,
     HumanLengths,
     JointMove,
     joint_moves,
@@ -44,29 +45,19 @@ from .model import (
     tighten_model,
 )
 from .sources import read_urdf
-from .spec import (
-    HandSpec,
-    Mount,
-    PointSpec,
-    Positions,
-    Problems,
-    Side,
-    Values,
-    check_point,
-    twice,
-)
+from .spec import HandSpec, Mount, PointSpec, Positions, Problems, check_point, twice
 from .urdf import NO_LIMIT
+
+if TYPE_CHECKING:
+    from handmap_core import _core
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
 
-LONGEST_STOP = 0.5
-"""Longest time in which a robot stops, whatever its acceleration limit is [s]."""
-
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("frames", "moves_wrist", "_scratch")
+_CACHED = ("frames", "moves_wrist", "tree", "_scratch")
 
 
 class Hand:
@@ -238,6 +229,22 @@ class Hand:
         """Lengths of a human hand; a `HandError` if it is none of this package."""
         return HumanLengths.from_urdf(read_urdf(self.spec))
 
+    @cached_property
+    def tree(self) -> _core.Tree:
+        """The kinematics of the compiled core; a `HandError` if it cannot move a joint."""
+        return core_tree(self)
+
+    @property
+    def wrist_speeds(self) -> tuple[float, float]:
+        """Speed limits of a floating wrist [m/s, rad/s]."""
+        wrist = self.spec.wrist
+        return wrist.max_linear_speed, wrist.max_angular_speed
+
+    @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward, such as `+z up, +x forward`."""
+        return self.spec.upright
+
     @property
     def has_moving_wrist(self) -> bool:
         """Whether six free coordinates or the joints of an arm move the wrist."""
@@ -352,9 +359,9 @@ class Hand:
             vars(hand).pop(of_lengths, None)
         return hand
 
-    def configuration(self) -> Configuration:
+    def configuration(self) -> PinocchioConfiguration:
         """Return a new workspace for this hand, for one user at a time."""
-        return Configuration(self)
+        return PinocchioConfiguration(self)
 
     def configuration_vector(
         self, q: ArrayLike, wrist_pose: PoseLike | None = None
@@ -547,16 +554,19 @@ class Hand:
         """Use other reference points, while nobody else has this hand."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        vars(self).pop("point_frames", None)
+        for of_points in ("point_frames", "tree"):
+            vars(self).pop(of_points, None)
         # A link that does not exist is reported here.
         len(self.point_frames)
 
     @cached_property
-    def _scratch(self) -> Configuration:
+    def _scratch(self) -> PinocchioConfiguration:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
-    def _placed(self, q: ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
+    def _placed(
+        self, q: ArrayLike, wrist_pose: PoseLike | None
+    ) -> PinocchioConfiguration:
         self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch
 

@@ -17,9 +17,9 @@ from msgspec import field
 from msgspec.structs import force_setattr
 
 from handmap_core.errors import HandError, expect
+from handmap_core.hands import CONTACT_GAP, FINGERS, Names, Side
 from handmap_core.se3 import Array, Arrays, ArrayStruct, as_floats, frozen
 from .sources import urdf_directory
-from .spec import Names, Side
 from .urdf import (
     child_of,
     get_numbers,
@@ -28,11 +28,6 @@ from .urdf import (
     parse_urdf,
     set_numbers,
 )
-
-FINGERS = ("thumb", "index", "middle", "ring", "little")
-"""The fingers, in the order of the rows of `HumanLengths`."""
-THUMB = FINGERS[0]
-"""The finger that opposes the others."""
 
 _THUMB_JOINTS = ("TM_abduction", "TM_flexion", "MCP_flexion", "IP_flexion")
 _FINGER_JOINTS = ("MCP_abduction", "MCP_flexion", "PIP_flexion", "DIP_flexion")
@@ -57,8 +52,6 @@ _BREADTH_OVER_LENGTH = 0.512
 _NOT_HUMAN = "not a human hand of this package"
 LARGEST_ROLL = math.radians(45.0)
 """Largest roll of a finger [rad]."""
-CONTACT_GAP = 0.013
-"""Contact gap of a person of whom none was measured [m]."""
 
 
 class HumanLengths(ArrayStruct, frozen=True):

@@ -19,10 +19,11 @@ from handmap_core.errors import (
     did_you_mean,
     expect,
 )
+from handmap_core.hands import SIDES, Names, Side
 from .hand import Hand, Points
 from .human import HumanLengths
 from .sources import source_file, urdf_directory
-from .spec import SIDES, HandSpec, Mount, Names, Side, is_named_source, read_hand_spec
+from .spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
 ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")

@@ -23,10 +23,10 @@ import pinocchio as pin
 import trimesh
 
 from handmap_core.errors import HandError, reason_of
+from handmap_core.hands import Names
 from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import find_mesh, root_tag
-from .spec import Names
 from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)

@@ -17,16 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_core.errors import HandError, expect, reason_of
+from handmap_core.hands import Names
 from handmap_core.se3 import frozen
 from .human import JointMove
-from .spec import (
-    HandSpec,
-    MimicSpec,
-    Mount,
-    Names,
-    Positions,
-    Rules,
-)
+from .spec import HandSpec, MimicSpec, Mount, Positions, Rules
 from .urdf import (
     MOVABLE,
     joints_by_name,

@@ -10,11 +10,11 @@ import coal
 import msgspec
 import numpy as np
 
+from handmap_core.hands.pad import Pad
 from handmap_core.se3 import Array, transform_points, unit
 from .collision_shapes import read_collision_shapes
 from .fingers import Finger, find_fingers, place_of
 from .hand import Hand
-from .pad import Pad
 from .spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].

@@ -25,6 +25,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from handmap_core.errors import HandError, expect
+from handmap_core.hands import Side
 from .hand import Hand
 from .library import find_file, load_hand, robot_files, sided_name
 from .model import compose_urdf
@@ -34,7 +35,6 @@ from .spec import (
     Document,
     HandSpec,
     Positions,
-    Side,
     Vector,
     read_document,
     read_hand_spec,

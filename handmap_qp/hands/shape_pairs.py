@@ -10,17 +10,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_core.hands import THUMB, Names
+from handmap_core.hands.contact_yield import ContactYield, common_yield
 from handmap_core.se3 import Array, lengths
 from .collision_shapes import read_collision_shapes
-from .contact_yield import ContactYield, common_yield
 from .fingers import PARALLEL, Finger, PalmKinematics, find_fingers
 from .hand import Hand
-from .human import THUMB
-from .spec import Links, Names
+from .spec import Links
 from .torques import are_prismatic, torque_limits
 
-LINK_MARGIN = 0.001
-"""Margin between all links but those that pinch [m]."""
 # Random postures in which pairs are measured.
 _POSTURES = 64
 # Pairs that are never farther apart than this in them count as joined [m].

@@ -17,22 +17,16 @@ import yaml
 from msgspec import Meta
 
 from handmap_core.errors import HandError, reason_of
+from handmap_core.hands import UPRIGHT, Names, Side, Values
 
-Names = tuple[str, ...]
 Links = tuple[str, str]
 """Names of two links."""
-Values = dict[str, Any]
-"""Values by name."""
-Side = Literal["right", "left"]
-SIDES: tuple[Side, ...] = ("left", "right")
-OTHER_SIDE: dict[Side, Side] = {"right": "left", "left": "right"}
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 Positions = dict[str, float]
 """Positions of joints by name [rad or m]."""
 Positive = Annotated[float, Meta(gt=0.0)]
-UPRIGHT = r"^[+-]([xyz]) up, [+-](?!\1)[xyz] forward\Z"
 Upright = Annotated[str, Meta(pattern=UPRIGHT)]
 """Axes of a world that are up and forward, such as `+y up, -z forward`."""
 _Spec = TypeVar("_Spec")

@@ -1,19 +1,7 @@
 """What was measured of a human hand: samples, recordings, and a person's lengths."""
 
-from .contact_gap import (
-    TOUCH_GAP,
-    ContactGapMeter,
-    clipped_gap,
-    measure_contact_gap,
-    smallest_gap,
-    tip_gaps,
-)
-from .findings import HAND_LENGTHS, Finding
-from .fit import LandmarkFitter, fit_recording
-from .measure import check_length, measure_hand, scaled_human
-from .person import Person, read_person, write_person
-from .recording import (
-    HumanMotion,
+from handmap_core.human.findings import HAND_LENGTHS, Finding
+from handmap_core.human.recording import (
     Recording,
     as_flags,
     axis_direction,
@@ -24,7 +12,7 @@ from .recording import (
     turned,
     upright_axes,
 )
-from .sample import (
+from handmap_core.human.sample import (
     FIRST_JOINTS,
     LANDMARK_COUNT,
     LANDMARK_NAMES,
@@ -43,6 +31,17 @@ from .sample import (
     palm_fit_weights,
     palm_sizes,
 )
+from .contact_gap import (
+    TOUCH_GAP,
+    ContactGapMeter,
+    clipped_gap,
+    measure_contact_gap,
+    smallest_gap,
+    tip_gaps,
+)
+from .fit import HumanMotion, LandmarkFitter, fit_recording
+from .measure import check_length, measure_hand, scaled_human
+from .person import Person, read_person, write_person
 
 __all__ = [
     "FIRST_JOINTS",

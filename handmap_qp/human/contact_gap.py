@@ -12,9 +12,9 @@ from itertools import repeat
 import numpy as np
 
 from handmap_core.core import core
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import TIPS
 from handmap_core.se3 import Array, lengths
-from .recording import Recording
-from .sample import TIPS
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""

@@ -9,9 +9,13 @@ by Newton's method (`ik.nearest_posture`). The fingers are independent, so that 
 the best of the minima that several starts lead to.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from handmap_core.errors import expect
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 from handmap_core.se3 import (
     Array,
     as_floats,
@@ -19,12 +23,10 @@ from handmap_core.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
+from handmap_qp.hands import FINGERS, Hand, HumanLengths, Side, load_hand
 from handmap_qp.ik import LENGTH_UNIT
 from handmap_qp.ik.nearest_posture import nearest_posture
 from .measure import measure_hand
-from .recording import HumanMotion, Recording
-from .sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 
 _WEIGHTS = (0.0, 1.0, 1.0, 2.0)
 """Weights of a finger's landmarks, per 10 mm: its first joint is fixed on the palm, and the mapping
@@ -42,6 +44,28 @@ _SHAPE = (len(FINGERS), 4)
 _EACH = np.arange(len(FINGERS))
 _Fit = tuple[Array, Array]
 """Joint angles of each finger [rad], shape (5, 4), and its cost, shape (5,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HumanMotion:
+    """A recording as joint angles.
+
+    Attributes:
+        human: The human hand, scaled to the person, its reference points the 21 landmarks.
+        time: Instants [s], shape (T,).
+        dt: Time from each sample's predecessor [s], shape (T,).
+        q: Joint angles in the order of `human.joint_names` [rad], shape (T, 20).
+        wrist: Wrist poses in the tracker's world, shape (T, 4, 4).
+        valid: Samples that were fitted, shape (T,). The others hold the last fitted posture; those
+            before the first fitted one hold that one.
+    """
+
+    human: Hand
+    time: Array
+    dt: Array
+    q: Array
+    wrist: Array
+    valid: Array
 
 
 class LandmarkFitter:

@@ -6,14 +6,8 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.errors import expect
-from handmap_core.se3 import (
-    Array,
-    as_floats,
-    lengths,
-)
-from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
-from .recording import Recording
-from .sample import (
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import (
     LANDMARK_COUNT,
     PALM,
     expect_hand_length,
@@ -21,6 +15,12 @@ from .sample import (
     human_name,
     landmarks_at_rest,
 )
+from handmap_core.se3 import (
+    Array,
+    as_floats,
+    lengths,
+)
+from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
 
 
 def check_length(landmarks: Array) -> Array:

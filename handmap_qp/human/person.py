@@ -9,10 +9,10 @@ import yaml
 from msgspec.structs import astuple, force_setattr, replace
 
 from handmap_core.errors import HandError, InvalidInputError, expect
+from handmap_core.human.sample import expect_hand_length
 from handmap_core.se3 import Array, ArrayStruct
 from handmap_qp.hands import FINGERS, Document, HumanLengths, Vector, read_yaml, typed
 from handmap_qp.output_files import replaced_file
-from .sample import expect_hand_length
 
 LARGEST_GAP = 0.04
 """Largest contact gap that a file may give [m]."""

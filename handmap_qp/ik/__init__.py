@@ -1,20 +1,24 @@
 """From targets to motion: a QP with limits."""
 
-from . import collision, compiled, gate
-from .collision import pair_bounds
-from .compiled import core_tree
-from .gate import Gate
-from .motion import BEHIND, LONGEST_STEP, SHORTEST_DT, Instant, Motion, When
-from .options import LENGTH_UNIT, IkOptions
-from .qp import (
+from handmap_core.ik import gate
+from handmap_core.ik.gate import Gate
+from handmap_core.ik.motion import (
+    BEHIND,
+    LONGEST_STEP,
+    SHORTEST_DT,
+    Instant,
+    Motion,
+    When,
+)
+from handmap_core.ik.options import LENGTH_UNIT, IkOptions
+from handmap_core.ik.result import (
     WRIST_LEVERS,
     IkResult,
-    PointIk,
     Status,
     result_of,
     wrist_error,
 )
-from .tasks import (
+from handmap_core.ik.tasks import (
     AttachedPoints,
     JointPositions,
     PointDistances,
@@ -22,6 +26,9 @@ from .tasks import (
     Task,
     TaskRows,
 )
+from . import collision
+from .collision import pair_bounds
+from .qp import PointIk
 
 __all__ = [
     "BEHIND",
@@ -44,8 +51,6 @@ __all__ = [
     "TaskRows",
     "When",
     "collision",
-    "compiled",
-    "core_tree",
     "gate",
     "pair_bounds",
     "result_of",

@@ -13,7 +13,7 @@ becomes
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
-the gate (`handmap_qp.ik.gate`) checks the whole displacement afterwards.
+the gate (`handmap_core.ik.gate`) checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
 the QP has what the ones before it left. Where there is a horizon, a pair gets a row if another step
@@ -49,7 +49,7 @@ the step brings nearer and within their margin, get such rows of the points ther
 margin, and the QP is solved again, a few times at most. Without them, links that are pressed flat
 on each other rock from corner to corner for ever.
 
-Pairs may yield (`handmap_qp.hands.contact_yield`): commanded links overlap by as much as presses
+Pairs may yield (`handmap_core.hands.contact_yield`): commanded links overlap by as much as presses
 with a given force. Then all of the above counts from that overlap on, as of the posture where the
 sample starts. A pair that overlaps by more, because the joints have moved since, must not come
 nearer, and its row parts it.
@@ -65,6 +65,7 @@ import pinocchio as pin
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
+from handmap_core.ik.gate import Rows
 from handmap_core.models import (
     CollisionModel,
     PairsModel,
@@ -73,9 +74,9 @@ from handmap_core.models import (
 from handmap_core.se3 import Array, inverse_pose, lengths, transform_points
 from handmap_qp.hands import (
     NEAR,
-    Configuration,
     ContactYield,
     Hand,
+    PinocchioConfiguration,
     ShapePairs,
     body_models,
     moved_by,
@@ -85,9 +86,6 @@ from handmap_qp.hands import (
 
 if TYPE_CHECKING:
     from handmap_core import _core
-
-Rows = tuple[Array, Array]
-"""G, shape (r, n), and h, shape (r,), of `G x <= h`."""
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and
@@ -451,7 +449,7 @@ class CollisionLimit:
 
     def rows(
         self,
-        configuration: Configuration,
+        configuration: PinocchioConfiguration,
         near: NearPairs,
         margins: Array | float | None = None,
     ) -> Rows:

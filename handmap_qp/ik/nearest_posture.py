@@ -11,7 +11,6 @@ the axis of i times the point's derivative by j. Each step solves a QP with the 
 
 from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
-from .compiled import core_tree
 
 
 def nearest_posture(
@@ -32,4 +31,4 @@ def nearest_posture(
     Returns:
         Joint positions inside their limits [rad or m], shape (n,).
     """
-    return core_tree(hand).nearest_posture(targets, costs, rest_cost, start)
+    return hand.tree.nearest_posture(targets, costs, rest_cost, start)

@@ -5,7 +5,7 @@
     s.t.  np.clip(q_min - q, -v dt, v dt) <= dq <= np.clip(q_max - q, -v dt, v dt)
 
 Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the weighted error
-(Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_qp.ik.tasks`). The box
+(Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_core.ik.tasks`). The box
 never contradicts itself: where `q` starts outside its limits, the joint comes back as fast as its
 speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
 keeps the Hessian near one, where solvers work best.
@@ -18,19 +18,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pinocchio as pin
 
 from handmap_core.core import core
 from handmap_core.errors import expect
-from handmap_core.se3 import Array, ArrayStruct, lengths
-from handmap_qp import ik
-from handmap_qp.hands import Configuration, Hand, Names
-from .motion import Motion, When
-from .options import IkOptions
-from .tasks import Goal, PointDistances, PointOffset, Task, TaskRows, tasks_named
+from handmap_core.ik.gate import IkGate
+from handmap_core.ik.motion import Motion, When
+from handmap_core.ik.options import IkOptions
+from handmap_core.ik.result import IkResult, result_of
+from handmap_core.ik.tasks import (
+    Goal,
+    PointDistances,
+    PointOffset,
+    Task,
+    TaskRows,
+    tasks_named,
+)
+from handmap_core.se3 import Array
+from handmap_qp.hands import Hand, PinocchioConfiguration
+from .collision import CollisionLimit
 
 if TYPE_CHECKING:
     from handmap_core import _core
@@ -39,88 +47,6 @@ if TYPE_CHECKING:
 
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
-
-WRIST_LEVERS = np.array([1.0, 0.1])
-"""How many metres a metre and a radian of the wrist's error count."""
-
-Status = Literal[
-    "converged", "limited", "unreachable", "unsettled", "failed", "released"
-]
-
-
-class IkResult(ArrayStruct, frozen=True):
-    """Result of the iterations of one sample.
-
-    Attributes:
-        status: `converged`: all points have arrived, and the wrist if they go with it; `limited`:
-            joints or wrist at a limit keep some away; `unreachable`: no limit does and the hand
-            does not move any more; `unsettled`: it is still on its way; `failed`: the solver found
-            no answer, and the hand stays where it was, or comes back into its limits; `released`:
-            it had no targets.
-        points: Reference points [m], shape (m, 3).
-        targets: Their targets [m], shape (m, 3); on the wrist where it is if they go with it.
-        q: Pinocchio configuration reached, shape (nq,).
-        wrists: Wrist frame of each hand there, shape (h, 4, 4).
-        displacement: From the sample before to this one, in the active coordinates (wrist, and
-            joints that follow no other), shape (k,), read-only.
-        active: -1 where it is at its lower bound from position and speed limits, +1 at the upper
-            one, 0 between, shape (k,), read-only.
-        hand: The hand; `hand.joint_columns` says where in those its joints are.
-        iterations: QPs solved.
-        last_step: Euclidean norm of the last iteration's step [rad or m].
-        held_by: Links of the pair of shapes that holds the hand back most; empty if none does.
-    """
-
-    status: Status
-    points: Array
-    targets: Array
-    q: Array
-    wrists: Array
-    displacement: Array
-    active: Array
-    hand: Hand
-    iterations: int
-    last_step: float
-    held_by: Names = ()
-
-    @property
-    def wrist(self) -> Array:
-        """Wrist frame of the hand, or of the first one of a robot, shape (4, 4)."""
-        return self.wrists[0]
-
-    @property
-    def errors(self) -> Array:
-        """Target minus point [m], shape (m, 3)."""
-        return self.targets - self.points
-
-
-def result_of(step: core.Step, hand: Hand, links: Sequence[Names]) -> IkResult:
-    """Return the result of a step of the core.
-
-    Args:
-        step: The step, as the core has it.
-        hand: The hand.
-        links: Links of each pair of shapes that its gate keeps apart; at -1, there are none.
-    """
-    return IkResult(
-        step.status,
-        step.points,
-        step.targets,
-        step.q,
-        step.wrists,
-        step.displacement,
-        step.active,
-        hand,
-        step.iterations,
-        step.last_step,
-        links[step.held_by],
-    )
-
-
-def wrist_error(wrist: Array, target: Array) -> Array:
-    """Return how far a pose of the wrist is from its target [m, rad], shape (2,)."""
-    turn = pin.log3(target[:3, :3].T @ wrist[:3, :3])
-    return lengths(np.array([wrist[:3, 3] - target[:3, 3], turn]))
 
 
 class PointIk:
@@ -160,13 +86,13 @@ class PointIk:
         self.options = options
         collisions = None
         if contacts:
-            collisions = ik.collision.CollisionLimit(hand, contacts, _HORIZON)
+            collisions = CollisionLimit(hand, contacts, _HORIZON)
         elif options.avoids_self_collision:
-            collisions = ik.collision.CollisionLimit(hand)
+            collisions = CollisionLimit(hand)
         self._contacts = contacts
         self._tasks = tasks_named(options.tasks, hand)
         at_rest = Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns))
-        self.gate = ik.gate.IkGate(hand, motion or at_rest, options, collisions)
+        self.gate = IkGate(hand, motion or at_rest, options, collisions)
         self.core = self.gate.core
         if detours:
             self.core.go_on(detours)
@@ -189,11 +115,11 @@ class PointIk:
         return PointIk, (self.hand, self.options, motion, self._contacts, detours)
 
     @cached_property
-    def _configuration(self) -> Configuration:
+    def _configuration(self) -> PinocchioConfiguration:
         return self.hand.configuration()
 
     @property
-    def configuration(self) -> Configuration:
+    def configuration(self) -> PinocchioConfiguration:
         """The present posture; `place` puts the hand somewhere else."""
         self._configuration.place(self.gate.motion.q)
         return self._configuration

@@ -1,14 +1,35 @@
 """The method: from a human sample to the targets and the command of a robot hand."""
 
-from .alignment import (
-    AlignedOptions,
+from handmap_core.mapping.alignment import (
     Row,
     alignment_from_gestures,
-    find_alignment,
     rotation_of,
     rotation_onto,
 )
-from .command_time import check_dt, check_when, own_time
+from handmap_core.mapping.command_time import check_dt, check_when, own_time
+from handmap_core.mapping.hand_request import HandRequest
+from handmap_core.mapping.moving_robot import MovingRobot
+from handmap_core.mapping.palm import PalmMap
+from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.reference import Placement, Reference
+from handmap_core.mapping.robot_hand import RobotHand
+from handmap_core.mapping.robot_step import RequestStep, RobotStep
+from handmap_core.mapping.step import (
+    MapStep,
+    RobotCommand,
+    SampleStep,
+    Stages,
+    arm_held_by,
+)
+from handmap_core.mapping.targets import (
+    AnyPose,
+    CoreMap,
+    HumanPose,
+    RobotPosture,
+    Targets,
+    core_pose,
+)
+from .alignment import AlignedOptions, find_alignment
 from .estimation import MotionEstimate, MotionEstimator
 from .hand_mapper import HandMapper
 from .hand_pair import (
@@ -23,22 +44,7 @@ from .hand_pair import (
     robot_fingers,
     touching_distances,
 )
-from .hand_request import HandRequest
-from .method import (
-    FOLLOWING,
-    PRESETS,
-    AnyPose,
-    CoreMap,
-    HumanPose,
-    Method,
-    Preset,
-    RobotPosture,
-    Targets,
-    core_pose,
-    default_preset,
-    get_preset,
-)
-from .moving_robot import MovingRobot
+from .method import FOLLOWING, PRESETS, Method, Preset, default_preset, get_preset
 from .objects import (
     KINDS,
     Box,
@@ -54,7 +60,7 @@ from .objects import (
     surface,
 )
 from .options_file import options_text, read_options
-from .palm import PalmMap, PalmMethod, palm_of, require_points
+from .palm import PalmMethod, palm_of, require_points
 from .presets import (
     IK_NAMES,
     Choice,
@@ -64,12 +70,7 @@ from .presets import (
     preset_choice,
     preset_with,
 )
-from .readers import JointReader, LandmarkReader, check_joints
-from .reference import Placement, Reference
-from .robot_hand import RequestStep, RobotHand
 from .robot_mapper import RobotMapper
-from .robot_step import RobotStep
-from .step import MapStep, RobotCommand, SampleStep, Stages, arm_held_by
 from .target_source import TargetSource
 
 __all__ = [

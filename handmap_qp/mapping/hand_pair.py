@@ -32,7 +32,6 @@ from handmap_qp.ik import (
     IkOptions,
     PointDistances,
     PointIk,
-    core_tree,
 )
 from handmap_qp.ik.nearest_posture import nearest_posture
 from .palm import point_indices, require_points
@@ -412,7 +411,7 @@ class RobotFingers:
         # The thumb is the first finger.
         pads = [*self.pads.values()]
         usual = _pinching_ik(hand.unscaled or hand)
-        return core_tree(hand).pinching_postures(
+        return hand.tree.pinching_postures(
             usual.core,
             *_split(pad.place for pad in pads),
             touching_distances(pads),
@@ -542,8 +541,8 @@ def points_in_palm(
     """
     shape = (*q.shape[:-1], -1, 3)
     if places is None:
-        return core_tree(hand).points(q).reshape(shape)
-    return core_tree(hand).points_on_joints(q, *_split(places)).reshape(shape)
+        return hand.tree.points(q).reshape(shape)
+    return hand.tree.points_on_joints(q, *_split(places)).reshape(shape)
 
 
 def _split(places: Iterable[Place]) -> tuple[list[int], Array]:

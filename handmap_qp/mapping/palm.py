@@ -1,25 +1,21 @@
-"""The palm: a robot's palm that follows the human's, and the landmarks of a human hand by name."""
+"""Methods whose palm follows the human's, and the landmarks of a human hand by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.models import PalmModel, encode
-from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
+from handmap_core.mapping.alignment import rotation_of
+from handmap_core.mapping.targets import AnyPose, HumanPose, RobotPosture, TargetMap
+from handmap_core.se3 import Array, affine
 from handmap_qp.hands import Hand
-from .alignment import AlignedOptions, rotation_of
-from .method import AnyPose, HumanPose, RobotPosture, TargetMap, without_core
+from .alignment import AlignedOptions
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
-
-_ORIGIN = frozen(np.zeros(3))
 
 
 class PalmMethod:
@@ -55,132 +51,6 @@ class PalmMethod:
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference; see `BoundMethod.start`."""
         return self.map_type(self, sample, robot)
-
-
-class PalmMap:
-    """Base of maps that move the robot's palm as the human's palm moves from a reference on.
-
-    Both palms have the same rotation, and the same translation (or `scale` times it) in world axes,
-    turned by the alignment; the translation is that of an anchor point on each palm. If anchors and
-    axes coincide at the reference, they stay together. A robot with a fixed wrist keeps its palm.
-    See `TargetMap`.
-
-    Args:
-        method: The method for two hands.
-        sample: The human hand at the reference.
-        posture: The robot hand at the reference.
-        human_anchor: The human's anchor in its palm frame [m], shape (3,); the origin if omitted.
-        robot_anchor: The robot's, likewise.
-        scale: Factor on the translation.
-
-    Attributes:
-        rest: Joint positions that the QP's rest term pulls to, shape (n,).
-        human_wrist_to_palm: Palm in the human's wrist, shape (4, 4).
-        robot_palm_to_wrist: Wrist in the robot's palm, shape (4, 4).
-        is_still: Whether the robot's wrist is fixed.
-        start: The robot's palm at the reference, shape (4, 4).
-        alignment: From the human's world to the robot's, shape (3, 3).
-        rotation: The robot's palm seen from the human's, shape (3, 3).
-        origin: Its origin there [m], shape (3,).
-        offset: The rest of its place, in world axes [m], shape (3,).
-        human_anchor: As given.
-        robot_anchor: As given.
-        human_start: The human's anchor at the reference [m], shape (3,).
-        further: Scale of the translation beyond 1.
-        robot_points: The robot's points at the reference, in palm axes [m], shape (n_r, 3).
-    """
-
-    def __init__(
-        self,
-        method: PalmMethod,
-        sample: HumanPose,
-        posture: RobotPosture,
-        human_anchor: Array = _ORIGIN,
-        robot_anchor: Array = _ORIGIN,
-        scale: float = 1.0,
-    ) -> None:
-        self._method = method
-        robot = method.robot
-        self.rest = robot.rest
-        self.human_wrist_to_palm = method.wrist_to_palm
-        self.robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
-        self.is_still = not robot.has_moving_wrist
-        before = method.palm_of(sample)
-        start = posture.wrist @ robot.wrist_to_palm
-        self.start = start
-        self.robot_points = transform_points(inverse_pose(start), posture.points)
-        self.alignment = Q = rotation_of(method.alignment, before, start)
-        # The robot's palm in axes of the human's world.
-        start = affine(Q.T) @ start
-        self.rotation = before[:3, :3].T @ start[:3, :3]
-        self.origin = human_anchor - self.rotation.dot(robot_anchor)
-        self.human_start = transform_points(before, human_anchor)
-        self.offset = transform_points(start, robot_anchor) - self.human_start
-        self.human_anchor = human_anchor
-        self.robot_anchor = robot_anchor
-        self.further = scale - 1.0
-
-    @cached_property
-    def core_palm(self) -> core.PalmMap:
-        """How the palm follows, as the core has it, made at its first use."""
-        return core.PalmMap(encode(self.palm_model()))
-
-    def __getstate__(self) -> dict[str, object]:
-        """Return the state of a copy."""
-        return without_core(self)
-
-    def palm_model(self) -> PalmModel:
-        """Return what the core follows the palm by."""
-        return PalmModel(
-            human_wrist_to_palm=self.human_wrist_to_palm,
-            robot_palm_to_wrist=self.robot_palm_to_wrist,
-            is_still=self.is_still,
-            start=self.start,
-            alignment=self.alignment,
-            rotation=self.rotation,
-            origin=self.origin,
-            offset=self.offset,
-            human_anchor=self.human_anchor,
-            robot_anchor=self.robot_anchor,
-            human_start=self.human_start,
-            further=self.further,
-        )
-
-    def follow(self, sample: HumanPose) -> tuple[Array, Array, Array]:
-        """Move the robot's palm with a sample's.
-
-        Returns:
-            The human's palm and the target of the robot's palm, shape (4, 4) each; the human's
-            points in palm axes [m], shape (n_h, 3).
-        """
-        human = self._method.palm_of(sample)
-        points = transform_points(inverse_pose(human), sample.points)
-        return human, self.core_palm.follow(human), points
-
-    @property
-    def world(self) -> Array:
-        """The human's world in the robot's, where both anchors are one place, shape (4, 4).
-
-        For palms that follow without a scale.
-        """
-        return affine(self.alignment, self.alignment @ self.offset)
-
-    def person_at(self, sample: AnyPose) -> Array:
-        """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
-
-        Its place is times the scale.
-        """
-        assert sample.wrist is not None
-        return self.core_palm.person_at(sample.wrist)
-
-    def placed(self, palm: Array, points: Array) -> tuple[Array, Array]:
-        """Return the targets of points in the robot's palm, and of its wrist.
-
-        Args:
-            palm: The robot's palm, shape (4, 4).
-            points: In its axes [m], shape (n_r, 3).
-        """
-        return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
 def palm_of(sample: HumanPose, human: Hand) -> Array:

@@ -22,6 +22,28 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError, expect
+from handmap_core.mapping.command_time import check_when
+from handmap_core.mapping.exclusive import WorkLock, exclusively
+from handmap_core.mapping.hands_as_one import rest_as_one, stages_as_one, targets_as_one
+from handmap_core.mapping.mapper import Mapper
+from handmap_core.mapping.moving_robot import MovingRobot
+from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
+from handmap_core.mapping.robot_hand import HOME, RobotHand
+from handmap_core.mapping.robot_step import (
+    RequestStep,
+    RobotStep,
+    part_step,
+    whole_step,
+)
+from handmap_core.mapping.step import AnyStages, MapStep
+from handmap_core.mapping.targets import Targets
+from handmap_core.mapping.two_palms import (
+    NEAR,
+    TOGETHER,
+    TOGETHER_SHARE,
+    aimed,
+    brought_together,
+)
 from handmap_core.models import RobotHandModel, RobotModel, encode
 from handmap_core.se3 import (
     Array,
@@ -41,18 +63,8 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import Verdict, human_name
 from handmap_qp.ik import IkOptions, Motion, PointIk, When
-from .command_time import check_when
-from .exclusive import WorkLock, exclusively
-from .hands_as_one import rest_as_one, stages_as_one, targets_as_one
-from .mapper import Mapper
-from .method import BoundMethod, Method, Targets
-from .moving_robot import MovingRobot
-from .readers import JointReader, LandmarkReader, check_joints
-from .robot_hand import HOME, RequestStep, RobotHand
-from .robot_step import RobotStep, part_step, whole_step
-from .step import AnyStages, MapStep
+from .method import BoundMethod, Method
 from .target_source import TargetSource
-from .two_palms import NEAR, TOGETHER, TOGETHER_SHARE, aimed, brought_together
 
 ReaderOf = Callable[[TargetSource], LandmarkReader | JointReader]
 """Returns what reads the samples of a hand as they come in."""
@@ -73,7 +85,7 @@ def _robot_targets(parts: list[Array], is_clamped: bool) -> Targets:
     return Targets(points, wrist, flags=flags)
 
 
-class RobotMapper(Mapper[core.RobotMapper]):
+class RobotMapper(Mapper[core.RobotMapper, PointIk]):
     """Turns the motion of a person's hands into the motion of a robot.
 
     The first sample of each hand is its reference; the robot is at rest there. A copy continues
@@ -525,7 +537,7 @@ class RobotMapper(Mapper[core.RobotMapper]):
                 hand.state = state
             raise
 
-    def _hand(self, side: Side) -> RobotHand:
+    def _hand(self, side: Side) -> RobotHand[TargetSource, PointIk]:
         if side not in self.hands:
             _expect_sides([side], self.hands, "side")
         return self.hands[side]

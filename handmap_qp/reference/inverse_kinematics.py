@@ -1,7 +1,7 @@
 """The QP of `handmap_qp.ik.qp` over Pinocchio: posed here or by mink, solved by any solver.
 
-Every displacement passes the gate of the robot (`handmap_qp.ik.gate`), which also gives the bounds
-of the QP, and the rows that keep links apart. This way takes no detours (`IkOptions`).
+Every displacement passes the gate of the robot (`handmap_core.ik.gate`), which also gives the
+bounds of the QP, and the rows that keep links apart. This way takes no detours (`IkOptions`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.ik.gate import IkGate
+from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array, frozen, lengths
 from handmap_qp.hands import Hand
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, wrist_error
-from handmap_qp.ik.gate import IkGate
-from handmap_qp.ik.tasks import Goal
 from .daqp_solver import solve_by_daqp
 from .problem import direct_cost, moved_along
 

@@ -16,10 +16,10 @@ import mink
 import numpy as np
 import qpsolvers
 
+from handmap_core.ik.options import IkOptions
+from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array
-from handmap_qp.hands import Configuration, Hand
-from handmap_qp.ik import IkOptions
-from handmap_qp.ik.tasks import Goal
+from handmap_qp.hands import Hand, PinocchioConfiguration
 from .problem import cost_rows, squared_damping
 
 
@@ -49,7 +49,7 @@ class Term(mink.Task):
 class _ActiveConfiguration:
     """A configuration for `mink.build_ik`: its `model.nv` counts only the active coordinates."""
 
-    def __init__(self, configuration: Configuration) -> None:
+    def __init__(self, configuration: PinocchioConfiguration) -> None:
         self._configuration = configuration
         self.model = SimpleNamespace(nv=configuration.nv)
 
@@ -60,7 +60,7 @@ class _ActiveConfiguration:
 def build_problem(
     hand: Hand,
     options: IkOptions,
-    configuration: Configuration,
+    configuration: PinocchioConfiguration,
     goal: Goal,
     *,
     extra_tasks: Sequence[mink.Task] = (),

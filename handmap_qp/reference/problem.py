@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array, frozen, lengths, transform_points
-from handmap_qp.hands import Configuration, Hand
+from handmap_qp.hands import Hand, PinocchioConfiguration
 from handmap_qp.ik import IkOptions, JointPositions, TaskRows
-from handmap_qp.ik.tasks import Goal
 
 
 @lru_cache(maxsize=16)
@@ -24,7 +24,7 @@ def _costs(hand: Hand, options: IkOptions) -> Array:
 
 
 def point_rows(
-    configuration: Configuration,
+    configuration: PinocchioConfiguration,
     targets: Array,
     wrist: pin.SE3 | None = None,
     part: int = 0,
@@ -53,7 +53,7 @@ def moved_along(here: pin.SE3, targets: Array, wrist: pin.SE3) -> Array:
 
 
 def wrist_rows(
-    hand: Configuration, target: pin.SE3, part: int = 0
+    hand: PinocchioConfiguration, target: pin.SE3, part: int = 0
 ) -> tuple[Array, Array]:
     """Return error, shape (6,), and Jacobian, (6, k), of a wrist to a pose, in its own axes."""
     offset = target.actInv(hand.wrists[part])
@@ -61,7 +61,7 @@ def wrist_rows(
 
 
 def cost_rows(
-    hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
+    hand: Hand, options: IkOptions, configuration: PinocchioConfiguration, goal: Goal
 ) -> list[TaskRows]:
     """Return the rows of every term of the cost at a configuration, with their weights.
 
@@ -103,7 +103,7 @@ def squared_damping(hand: Hand, options: IkOptions, goal: Goal, size: int) -> Ar
 
 
 def direct_cost(
-    hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
+    hand: Hand, options: IkOptions, configuration: PinocchioConfiguration, goal: Goal
 ) -> tuple[Array, Array]:
     """Return H, shape (k, k), and c, shape (k,), of the QP; arguments as of `cost_rows`."""
     eye = np.eye(configuration.nv)

@@ -1,15 +1,15 @@
 """Which samples of a tracker the robot follows."""
 
+from handmap_core.stream.following import FollowingCheck
+from handmap_core.stream.smoothing import SMOOTH_IK, Smoothing
+from handmap_core.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 from .follower import Follower
-from .following import FollowingCheck
 from .grip import GripFollower, RobotGripFollower, gripping
 from .guard import BEHIND, StreamGuard
 from .hand_grip import GripOptions, can_grip, gripping_presets, has_grasp
 from .held_object import ObjectFollower, ObjectOptions, follow_recording
 from .measurement import measure_person
 from .robot_follower import RobotFollower, paired
-from .smoothing import SMOOTH_IK, Smoothing
-from .step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 __all__ = [
     "BEHIND",

@@ -12,14 +12,15 @@ from time import thread_time
 from msgspec import structs
 
 from handmap_core.core import core
+from handmap_core.mapping.exclusive import exclusively
+from handmap_core.stream.hand_follower import HandFollower
+from handmap_core.stream.rejoin import RejoinKind
+from handmap_core.stream.smoothing import Smoothing
+from handmap_core.stream.step_table import StepTable
 from handmap_qp.human import HumanSample, Recording
-from handmap_qp.ik import Task, When
-from handmap_qp.mapping import HandMapper, MapStep, RobotHand
-from handmap_qp.mapping.exclusive import exclusively
-from .hand_follower import HandFollower
-from .rejoin import RejoinKind
-from .smoothing import Smoothing
-from .step_table import StepTable
+from handmap_qp.ik import PointIk, Task, When
+from handmap_qp.mapping import HandMapper, MapStep, RobotHand, TargetSource
+from .guard import StreamGuard
 
 _RUN = 1000  # samples of a recording that the core maps before progress is told
 
@@ -52,7 +53,8 @@ class Follower(HandFollower[MapStep]):
         rejoin: RejoinKind = "glide",
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
-        super().__init__(mapper, MapStep, rejoin=rejoin, smoothing=smoothing)
+        guard = StreamGuard(mapper.human)
+        super().__init__(mapper, guard, MapStep, rejoin=rejoin, smoothing=smoothing)
         self.mapper = mapper
 
     @exclusively
@@ -118,7 +120,8 @@ class Follower(HandFollower[MapStep]):
 
 @contextmanager
 def further_terms(
-    mappers: Sequence[HandMapper | RobotHand], terms: Sequence[Sequence[Task]]
+    mappers: Sequence[HandMapper | RobotHand[TargetSource, PointIk]],
+    terms: Sequence[Sequence[Task]],
 ) -> Iterator[None]:
     """Give mappers further terms of the QP's cost for a while.
 

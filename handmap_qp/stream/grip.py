@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 
 from handmap_core.errors import InvalidInputError, expect
 from handmap_core.se3 import FARTHEST, Array, as_floats, is_real
+from handmap_core.stream.object_place import PLACE_DEVIATION
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
 from handmap_qp.ik import When
 from handmap_qp.mapping import MapStep, Stages
 from .follower import Follower, further_terms, map_with
 from .hand_grip import GripOptions, HandGrip, can_grip
-from .object_place import PLACE_DEVIATION
 
 if TYPE_CHECKING:
     # Most programs have one hand.

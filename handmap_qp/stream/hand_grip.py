@@ -21,6 +21,8 @@ import numpy as np
 
 from handmap_core.options import Options, Positive
 from handmap_core.se3 import Array, lengths, unit
+from handmap_core.stream.closing_pads import ClosingPads, FingerPads, PadsState
+from handmap_core.stream.object_place import ObjectPlace
 from handmap_qp.hands import (
     SLIDING_STIFFNESS,
     STIFFNESS,
@@ -38,8 +40,6 @@ from handmap_qp.mapping import (
     robot_fingers,
 )
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
-from .closing_pads import ClosingPads, FingerPads, PadsState
-from .object_place import ObjectPlace
 
 # Weights of a held joint, which leave other terms little, of one that turns [1/rad] and of one that
 # slides [1/m]: both are as strict where a pad is 50 mm from its joint.

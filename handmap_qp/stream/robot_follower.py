@@ -16,15 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.errors import HandmapError, expect
+from handmap_core.mapping.exclusive import exclusively
+from handmap_core.stream.hand_follower import HandFollower
+from handmap_core.stream.rejoin import RejoinKind
+from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import RequestStep, RobotMapper, RobotStep
-from handmap_qp.mapping.exclusive import exclusively
-from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
-from .hand_follower import HandFollower
-from .rejoin import RejoinKind
-from .smoothing import Smoothing
+from .guard import BEHIND, GAP, ArrivalCredit, SampleClock, StreamGuard
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
@@ -141,7 +141,13 @@ class RobotFollower:
         self.mapper = mapper
         self.work = mapper.work
         self.hands = {
-            side: HandFollower(hand, RequestStep, rejoin=rejoin, smoothing=smoothing)
+            side: HandFollower(
+                hand,
+                StreamGuard(hand.source.human),
+                RequestStep,
+                rejoin=rejoin,
+                smoothing=smoothing,
+            )
             for side, hand in mapper.hands.items()
         }
         # Instants of the robot's commands that had a sample of each hand.

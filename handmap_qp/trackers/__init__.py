@@ -1,5 +1,6 @@
 """From files and devices to samples of a human hand, and checks that they are what they say."""
 
+from handmap_core.trackers.hand_geometry import BONES, NEIGHBOURS
 from .file_evidence import (
     STILL_TRAVEL,
     STILL_TURN,
@@ -20,7 +21,6 @@ from .formats import (
 )
 from .formats.archive import NpzFormat, read_archive, save_npz
 from .formats.base import SIDES, first_of, reading
-from .hand_geometry import BONES, NEIGHBOURS
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human

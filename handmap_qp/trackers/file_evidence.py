@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.se3 import Array, affine, lengths, nearest_rotation
+from handmap_core.trackers.hand_geometry import BONES, log_size
+from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp.human import Recording
-from .hand_geometry import BONES, log_size
-from .wrist_axes import palm_axes
 
 # -- limits of what is usual
 

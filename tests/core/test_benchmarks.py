@@ -21,7 +21,7 @@ from section_four.experiment import HandMotion
 from handmap_qp.apps.offline.comparison import own_method
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.mapping.objects import Box
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"

@@ -16,6 +16,8 @@ from call_counts import count_calls
 from marks import rotated
 from verdict_cases import streams
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.mapping.step import MapStep
 from handmap_qp import (
     Follower,
     Hand,
@@ -29,8 +31,6 @@ from handmap_qp.apps.datasets.batch import plan_batch
 from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import JobOptions
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.measurement import measure_person

@@ -14,7 +14,7 @@ from handmap_qp import read_recording
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.cli import main
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO_FILE
 

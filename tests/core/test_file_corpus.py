@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handmap_core.human.recording import Recording
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.migrate import read_dex_configuration
 from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.mjcf import ConvertedMjcf
-from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import format_to_write, list_sources
 
 URDF = Path(__file__).parents[2] / "urdf"

@@ -149,13 +149,13 @@ Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
 def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
+    from handmap_core.human.recording import sample_columns
+    from handmap_core.ik.options import ik_model
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
+    from handmap_qp.hands import core_tree
     from handmap_qp.hands.collision_shapes import shape_model
-    from handmap_qp.human.recording import sample_columns
-    from handmap_qp.ik import core_tree
-    from handmap_qp.ik.compiled import hand_model
-    from handmap_qp.ik.options import ik_model
+    from handmap_qp.hands.compiled import hand_model
 
     recording = read_recording("demo", "right").part(slice(0, 60))
     columns = sample_columns(recording)
@@ -299,7 +299,7 @@ def calls_of(core: Any) -> dict[str, Call]:
 
 def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
     """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
-    from handmap_qp.human.sample import landmarks_at_rest
+    from handmap_core.human.sample import landmarks_at_rest
     from handmap_qp.models import GuardModel
     from handmap_qp.trackers.plausibility import known_orders
 
@@ -356,10 +356,10 @@ def sample_calls(
     core: Any, follower: Any, teleoperation: Any, columns: Any
 ) -> dict[str, Call]:
     """Return calls of what maps samples: a follower of one map, and another map."""
+    from handmap_core.mapping.step import step_views
+    from handmap_core.stream.step_table import StepTable
     from handmap_qp import load_hand
-    from handmap_qp.ik import core_tree
-    from handmap_qp.mapping.step import step_views
-    from handmap_qp.stream.step_table import StepTable
+    from handmap_qp.hands import core_tree
 
     mapper = follower.mapper
     guard, smoother, reader = follower._guard, follower._smoother, mapper.landmarks.core

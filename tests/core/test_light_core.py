@@ -45,6 +45,23 @@ def test_numpy_and_msgspec_are_all_that_is_imported() -> None:
         assert imported(file) <= needed, name
 
 
+NUMPY_2 = {
+    *("astype", "bitwise_count", "concat", "cumulative_prod", "cumulative_sum"),
+    *("isdtype", "matrix_transpose", "matvec", "permute_dims", "unstack"),
+    *("vecdot", "vecmat"),
+}
+"""Functions that numpy 1.26 does not have; its arrays have no `mT` either."""
+
+
+def test_nothing_is_called_that_numpy_1_does_not_have() -> None:
+    for name, file in modules():
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "np":
+                assert node.attr not in NUMPY_2, (name, node.lineno)
+            elif isinstance(node, ast.Attribute):
+                assert node.attr != "mT", (name, node.lineno)
+
+
 # Finds no package that an environment with `handmap-core[client]` alone does not have.
 ALONE = """
 import sys

@@ -10,9 +10,8 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.hands import HumanLengths
+from handmap_qp.hands import HumanLengths, core_tree
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.ik import core_tree
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.mapping.methods.teleoperation import (

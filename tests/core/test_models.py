@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from handmap_core.core import core
+from handmap_core.ik.limits import box_limits
+from handmap_core.ik.options import ik_model
 from handmap_qp import models
-from handmap_qp.hands import load_hand
+from handmap_qp.hands import core_tree, load_hand
+from handmap_qp.hands.compiled import hand_model
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik import IkOptions, PointIk, core_tree
+from handmap_qp.ik import IkOptions, PointIk
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.compiled import hand_model
-from handmap_qp.ik.limits import box_limits
-from handmap_qp.ik.options import ik_model
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.models import Model, encode
 

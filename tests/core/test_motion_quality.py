@@ -21,7 +21,7 @@ from strategies import generators, poses
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
 from handmap_qp.apps.offline.trajectory import Trajectory
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.se3 import affine
 
 

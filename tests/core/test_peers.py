@@ -17,10 +17,10 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from handmap_core.human.recording import Recording
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.formats import read_recording
 

@@ -7,11 +7,11 @@ import pytest
 from oracles import people
 
 from handmap_core.core import core
+from handmap_core.human.recording import Recording
 from handmap_qp import read_recording
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.trajectory import map_hands
 from handmap_qp.human.contact_gap import smallest_gap
-from handmap_qp.human.recording import Recording
 from handmap_qp.stream.measurement import measure_person
 
 DEMO = read_recording("demo", "right").part(slice(0, 90))

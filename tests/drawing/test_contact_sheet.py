@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sheet_cells import cell_of
 
+from handmap_core.human.recording import Recording
 from handmap_qp.apps.drawing.contact_sheet import (
     CELL,
     FINGER_COLOURS,
@@ -21,7 +22,6 @@ from handmap_qp.apps.drawing.contact_sheet import (
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

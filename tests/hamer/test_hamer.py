@@ -13,9 +13,9 @@ import pytest
 from handmap_hamer import FORMAT
 from mano_model import write_mano_model
 
+from handmap_core.human.recording import finite_samples
 from handmap_qp import InvalidInputError, RecordingError, read_recording
 from handmap_qp.cli import main
-from handmap_qp.human.recording import finite_samples
 from handmap_qp.trackers import FORMATS, SIDES, read_hands
 
 DEMO = {side: read_recording("demo", side).part(slice(60, 150)) for side in SIDES}

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from arm_cases import mounted
 
+from handmap_core.hands.stiffness import SLIDING_STIFFNESS, STIFFNESS
 from handmap_qp import (
     Hand,
     HandMapper,
@@ -26,7 +27,6 @@ from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.shape_pairs import all_pairs, pair_ends, yield_to
 from handmap_qp.hands.spec import ArmSpec, CollisionSpec, PalmSpec, WristSpec
-from handmap_qp.hands.stiffness import SLIDING_STIFFNESS, STIFFNESS
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.formats import read_recording
 

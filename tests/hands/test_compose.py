@@ -17,11 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import generators, rotations
 
+from handmap_core.ik.options import IkOptions
 from handmap_qp import Hand, HandError, HandSpec, InvalidInputError, load_hand
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import ArmSpec, LimitSpec, read_hand_spec
 from handmap_qp.hands.urdf import cut_subtree, lock_joints
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import rotation_from_rpy, rpy_from_rotation, transform_points
 

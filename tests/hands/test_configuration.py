@@ -11,7 +11,7 @@ from hypothesis import given
 from strategies import generators
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 
 HANDS = {name: load_hand(name) for name in ("three_finger", "human", "ur5_allegro")}
 every_hand = pytest.mark.parametrize("name", HANDS)

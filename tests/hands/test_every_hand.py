@@ -21,8 +21,8 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import HandSpec
+from handmap_qp.human import HumanMotion
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik.collision import CollisionLimit
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -19,12 +19,8 @@ from hypothesis.extra.numpy import arrays
 
 from handmap_qp import Hand, load_hand
 from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.human import (
-    FINGERS,
-    HUMAN_JOINTS,
-    HumanLengths,
-    scaled_human_urdf,
-)
+from handmap_qp.hands import FINGERS
+from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths, scaled_human_urdf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.hands.urdf import mirror, parse_urdf

@@ -13,8 +13,8 @@ from ik_cases import two_joint_hand
 from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
+from handmap_qp.hands import moved_by
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.fingers import (
     THUMB,
     PalmKinematics,

@@ -15,8 +15,9 @@ import pytest
 import yourdfpy
 
 from handmap_qp.errors import MissingExtraError
+from handmap_qp.hands import FINGERS
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import HandSpec, read_hand_spec
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handmap_core.human.sample import TIPS, human_name
 from handmap_qp import (
     Hand,
     HumanLengths,
@@ -20,10 +21,9 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.hands.spec import OTHER_SIDE, Side
+from handmap_qp.hands import OTHER_SIDE, Side
 from handmap_qp.human.fit import LandmarkFitter, fit_recording
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.sample import TIPS, human_name
 from handmap_qp.se3 import affine
 
 ROLLS = np.radians([0.0, -9.0, 4.0, 9.0, 18.0])

@@ -12,11 +12,11 @@ import pytest
 import yaml
 from person_cases import LENGTHS, worn
 
+from handmap_core.human.recording import Recording, mirrored
 from handmap_qp import HandMapper, HumanLengths, InvalidInputError, load_hand
 from handmap_qp.human.contact_gap import ContactGapMeter, tip_gaps
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person, read_person, write_person
-from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.stream.measurement import measure_person
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handmap_core.human.recording import mirrored
 from handmap_qp import (
     InvalidInputError,
     Recording,
     RecordingError,
     read_recording,
 )
-from handmap_qp.human.recording import mirrored
 
 
 def arrays(count: int = 5) -> dict[str, np.ndarray]:

@@ -15,6 +15,8 @@ from marks import crossed
 from scipy.optimize import nnls
 
 from handmap_core.core import core
+from handmap_core.ik.gate import IkGate
+from handmap_core.ik.motion import Motion
 from handmap_qp import (
     AttachedPoints,
     HandMapper,
@@ -30,8 +32,6 @@ from handmap_qp import (
 )
 from handmap_qp.hands.collision_shapes import shape_model
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik.gate import IkGate
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.models import encode

@@ -7,6 +7,7 @@ from copy import deepcopy
 import numpy as np
 from scipy.optimize import nnls
 
+from handmap_core.hands.contact_yield import common_yield
 from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
 from handmap_qp.hands import (
     ContactYield,
@@ -16,7 +17,6 @@ from handmap_qp.hands import (
     load_robot,
     pair_ends,
 )
-from handmap_qp.hands.contact_yield import common_yield
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import Array

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.tasks import TaskRows
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.presets import get_preset
 
 DT = 1.0 / 60.0

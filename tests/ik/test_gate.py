@@ -13,18 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_cases import landmarks_at, write_robot
 
+from handmap_core.human.sample import HumanSample
+from handmap_core.ik.gate import Gate
+from handmap_core.ik.motion import Instant, Motion
+from handmap_core.ik.tasks import TaskRows
 from handmap_qp import Follower, HandMapper, IkOptions, load_hand
 from handmap_qp.apps.service.safety import CommandedRobot
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.gate import Gate
-from handmap_qp.ik.motion import Instant, Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.robot_mapper import RobotMapper
 
 HUMAN = load_hand("human", points="landmarks")

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handmap_core.ik.result import IkResult
 from handmap_qp import HandMapper, IkOptions, load_hand, read_recording
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik.qp import IkResult, PointIk
+from handmap_qp.ik.qp import PointIk
 
 FORMULATIONS = ["direct", "mink", "compiled"]
 

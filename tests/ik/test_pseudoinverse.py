@@ -20,11 +20,11 @@ from ik_cases import (
 )
 from pseudoinverse import PseudoinverseIk, weighted_task
 
+from handmap_core.ik.tasks import Goal
 from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Goal
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 
 PLAIN = IkOptions(error_damping=0.0, has_velocity_limits=False, max_iterations=1)

@@ -23,13 +23,13 @@ from ik_cases import (
 from marks import rotated
 from strategies import generators
 
+from handmap_core.ik.gate import Gate
+from handmap_core.ik.limits import box_limits
+from handmap_core.ik.motion import Motion
 from handmap_qp import HandError, HandMapper, IkOptions, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.ik.gate import Gate
-from handmap_qp.ik.limits import box_limits
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.options import Option, options_of
 from handmap_qp.reference.daqp_solver import solve_by_daqp

@@ -19,7 +19,7 @@ from handmap_qp import (
     PointSpec,
     load_hand,
 )
-from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.hands import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.ik import Gate, Motion

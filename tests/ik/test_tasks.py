@@ -9,11 +9,11 @@ import pinocchio as pin
 import pytest
 from ik_cases import HANDS, hand_of, random_cases
 
+from handmap_core.ik.tasks import AttachedPoints, PointDistances, TaskRows
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, MapStep, load_hand
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances, TaskRows
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 from handmap_qp.reference.solvers import make_solver
 

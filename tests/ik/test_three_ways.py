@@ -16,12 +16,12 @@ import qpsolvers
 from ik_cases import HANDS, Case, each_kind_of_hand, hand_of, problem_of, random_cases
 from oracles.mujoco_ik import MujocoIk
 
+from handmap_core.ik.tasks import Goal
 from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Goal
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 from handmap_qp.reference.mink_problem import Term, build_problem
 from handmap_qp.reference.solvers import solve_problem

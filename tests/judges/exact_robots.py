@@ -24,14 +24,14 @@ import numpy as np
 import pinocchio as pin
 from checker import Checker
 
+from handmap_core.human.sample import human_name
+from handmap_core.ik.motion import Motion
+from handmap_core.mapping.robot_step import RobotStep
 from handmap_qp import HandmapError, load_hand
 from handmap_qp.hands.robot import load_robot, robot_files
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.human.sample import human_name
-from handmap_qp.ik.motion import Motion
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.se3 import nearest_rotation
 
 _STEPS_PER_RUN = 1000

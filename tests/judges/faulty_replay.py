@@ -18,10 +18,10 @@ from pathlib import Path
 import common
 from injection import FAULT_KINDS, FORM, Fault, inject, parse_faults
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp import HandmapError, Recording, read_recording
 from handmap_qp.apps.live.cli import Target
 from handmap_qp.apps.live.source import Replay
-from handmap_qp.human.sample import HumanSample
 
 
 class FaultyReplay(Replay):

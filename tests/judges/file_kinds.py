@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 import yaml
 
+from handmap_core.human.recording import Recording
 from handmap_qp import load_hand
 from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
 from handmap_qp.apps.onboarding.detect import detect
@@ -27,7 +28,6 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.mjcf import ConvertedMjcf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.human.person import person_text, read_person
-from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import format_to_write, list_sources, read_recording

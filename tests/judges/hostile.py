@@ -20,6 +20,9 @@ import numpy as np
 import pinocchio as pin
 from checker import SHORTEST, Checker
 
+from handmap_core.ik.gate import IkGate
+from handmap_core.ik.motion import SHORTEST_DT, Motion
+from handmap_core.ik.result import Status
 from handmap_qp import (
     HandmapError,
     HandMapper,
@@ -33,9 +36,7 @@ from handmap_qp import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
-from handmap_qp.ik.gate import IkGate
-from handmap_qp.ik.motion import SHORTEST_DT, Motion
-from handmap_qp.ik.qp import PointIk, Status
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import nearest_rotation
 
 MOST_OUTSIDE = 0.5

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.human.sample import HumanSample, human_name
 from handmap_qp import Hand, load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample, human_name
+from handmap_qp.hands import Side
 
 SHORTEST = 1e-6
 """A command that is not later than the one before counts as later by this [s]."""

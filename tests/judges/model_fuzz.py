@@ -18,13 +18,13 @@ from pathlib import Path
 
 from cpp_programs import compiled
 
+from handmap_core.ik.limits import box_limits
+from handmap_core.ik.options import ik_model
 from handmap_qp.hands import Hand, load_hand
+from handmap_qp.hands.compiled import hand_model
 from handmap_qp.human import landmarks_at_rest
 from handmap_qp.ik import IkOptions
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.compiled import hand_model
-from handmap_qp.ik.limits import box_limits
-from handmap_qp.ik.options import ik_model
 from handmap_qp.mapping import HandMapper
 from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.mapping.methods.teleoperation import TeleoperationMap

@@ -22,6 +22,7 @@ import common
 import numpy as np
 from checker import Checker
 
+from handmap_core.human.recording import Recording, mirrored
 from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.store import PostureStore, Record
@@ -35,7 +36,6 @@ from handmap_qp.client.messages import (
     Step,
 )
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
-from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.trackers.formats import read_recording
 
 PERIOD = 1.0 / 60.0

@@ -20,13 +20,13 @@ import shared_hands
 from checker import SHORTEST, Checker
 from overlap import OverlapMeter
 
+from handmap_core.human.recording import Recording, mirrored
+from handmap_core.human.sample import human_name
+from handmap_core.ik.motion import Motion
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.human.sample import human_name
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.trackers.formats import read_recording

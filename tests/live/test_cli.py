@@ -13,9 +13,9 @@ import pytest
 from live_cases import moving_hand, save_recording
 from service_tools import address_of, serving
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp import cli
 from handmap_qp.apps.live.source import Recorder
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -10,11 +10,11 @@ import pytest
 from injection import inject, parse_faults
 from live_cases import moving_hand
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import HumanSample
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live.source import Recorder, Replay, Source, run
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.hands import Side
 from handmap_qp.trackers.formats import read_recording
 
 

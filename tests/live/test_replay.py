@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from injection import inject, parse_faults
 from live_cases import moving_hand
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live import source
 from handmap_qp.apps.live.source import Replay
-from handmap_qp.human.recording import sample_columns
 
 
 class Clock:

@@ -23,12 +23,12 @@ from service_tools import (
     serving,
 )
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live.service import ServiceSink, ServiceSource
 from handmap_qp.apps.live.source import Recorder, Replay, run
 from handmap_qp.apps.service.server import Server
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
 

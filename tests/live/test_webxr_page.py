@@ -23,12 +23,12 @@ from service_tools import (
     token_file,
 )
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import hand_names
 from handmap_qp.apps.live.service import ServiceSource
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 

@@ -11,16 +11,16 @@ import pytest
 from oracles import people
 from oracles.nearest_posture import distance, nearest_posture
 
+from handmap_core.human.sample import landmarks_at_rest
 from handmap_qp import HumanLengths, load_hand, read_recording
 from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.hands import core_tree
 from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.shape_pairs import pair_distances
 from handmap_qp.human.measure import _standard_palm, measure_shape
-from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik import nearest_posture as posture_module
-from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping import hand_pair
 from handmap_qp.mapping.hand_pair import HandPair, robot_fingers

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handmap_core.mapping.step import Stages, StepSummary
 from handmap_qp import (
     HandmapError,
     HandMapper,
@@ -23,7 +24,6 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.mapping.presets import get_preset
-from handmap_qp.mapping.step import Stages, StepSummary
 
 HUMAN = load_hand("human", points="landmarks")
 ROBOT = load_hand("three_finger")

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from marks import crossed
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.stream.rejoin import RejoinKind
 from handmap_qp import (
     METHODS,
     PRESETS,
@@ -27,9 +29,7 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.rejoin import RejoinKind
 
 SAMPLES = tuple(sample_columns(read_recording("demo", "right")))[60:115]
 FIRST, REST = SAMPLES[:30], SAMPLES[30:]

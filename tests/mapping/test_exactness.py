@@ -19,8 +19,8 @@ from strategies import generators, motion_of
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand, read_recording
 from handmap_qp.hands.hand import Hand
+from handmap_qp.human import HumanMotion
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping import MotionEstimator
 from handmap_qp.reference import estimate, polar
 

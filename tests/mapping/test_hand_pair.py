@@ -8,8 +8,9 @@ import pytest
 from marks import slow
 
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
+from handmap_qp.hands import FINGERS
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.hand_pair import (
     bone_lengths,
     hand_pair,

@@ -17,8 +17,8 @@ from handmap_qp import (
     JointToJoint,
     load_hand,
 )
+from handmap_qp.hands import FINGERS
 from handmap_qp.hands.fingers import PalmKinematics, find_fingers
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.mapping.methods.joint_to_joint import BoundJointToJoint, FingerAngles
 from handmap_qp.se3 import inverse_pose, transform_points
 

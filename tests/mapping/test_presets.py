@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from marks import rotated
 
+from handmap_core.ik.tasks import AttachedPoints
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_names
-from handmap_qp.ik.tasks import AttachedPoints
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from handmap_core.mapping.readers import JointReader, LandmarkReader
 from handmap_qp import HumanLengths
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.readers import JointReader, LandmarkReader
 
 HUMAN = load_hand(
     "human", points="landmarks", lengths=HumanLengths.from_hand_length(0.19)

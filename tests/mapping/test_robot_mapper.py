@@ -14,19 +14,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from handmap_core.human.sample import HumanSample, Verdict, human_name
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.tasks import AttachedPoints, PointDistances, PointOffset
+from handmap_core.mapping.robot_step import RobotStep
+from handmap_core.stream.smoothing import SMOOTH_IK
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import joined, load_robot, load_whole
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample, Verdict, human_name
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.mapping.robot_step import RobotStep
 from handmap_qp.stream.robot_follower import RobotFollower
-from handmap_qp.stream.smoothing import SMOOTH_IK
 
 SIDES: tuple[Side, ...] = ("left", "right")
 HUMANS = {side: load_hand(human_name(side), points="landmarks") for side in SIDES}

@@ -22,14 +22,14 @@ from limit_judge import (
     without,
 )
 
+from handmap_core.human.sample import HumanSample
+from handmap_core.ik.gate import Gate
+from handmap_core.ik.motion import SHORTEST_DT, Instant, Motion
+from handmap_core.ik.options import IkOptions
 from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik.gate import Gate
-from handmap_qp.ik.motion import SHORTEST_DT, Instant, Motion
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower

@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.tasks import TaskRows
+from handmap_core.mapping.reference import Placement
+from handmap_core.mapping.robot_hand import HandState
+from handmap_core.mapping.robot_step import RequestStep
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import DegeneratePointsError, InvalidInputError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import Configuration
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.reference import Placement
-from handmap_qp.mapping.robot_hand import HandState, RequestStep
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.mapping.target_source import TargetSource
 
@@ -190,5 +191,6 @@ def test_a_hand_that_asks_to_stay_changes_nothing_by_itself() -> None:
     assert not hand.is_staying
     # It moves nothing either.
     np.testing.assert_allclose(
-        held.request.targets.wrist, hand.robot.frame_pose("wrist", held.request.rest)
+        held.request.targets.wrist,
+        hand.source.robot.frame_pose("wrist", held.request.rest),
     )

@@ -11,6 +11,7 @@ import pytest
 from mapping_cases import little_pose, near_rest
 from marks import slow
 
+from handmap_core.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp import (
     HandMapper,
     IkOptions,
@@ -24,11 +25,11 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping import PalmMap
 from handmap_qp.mapping.hand_pair import hand_pair, resting_posture, robot_fingers
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
-from handmap_qp.mapping.palm import PalmMap, PalmMethod
+from handmap_qp.mapping.palm import PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
 from handmap_qp.reference.estimation import estimate
 from handmap_qp.reference.teleoperation_targets import (

@@ -13,12 +13,12 @@ import pinocchio as pin
 import pytest
 from reach_cases import HUMAN, reaching_hand
 
+from handmap_core.human.recording import axis_direction, mirrored, upright_axes
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.apps.arguments import MappingArguments, MethodFlags
 from handmap_qp.apps.offline.comparison import in_world_of
 from handmap_qp.apps.service.opening import read_choice
 from handmap_qp.client.messages import PROTOCOL, Open
-from handmap_qp.human.recording import axis_direction, mirrored, upright_axes
 from handmap_qp.mapping.alignment import (
     find_alignment,
     rotation_of,

@@ -29,9 +29,9 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.hand_trace import TIP
 from handmap_qp.apps.offline.trajectory import RobotMotion, held_samples
 from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands import Side
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import inverse_pose, rotation_from_rpy
 from handmap_qp.trackers.formats import read_recording

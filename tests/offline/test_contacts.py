@@ -21,7 +21,7 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.contacts import contact_metrics
 from handmap_qp.apps.offline.hand_trace import HandTrace, trace_robot
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.spec import Values
+from handmap_qp.hands import Values
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -9,16 +9,16 @@ import pinocchio as pin
 import pytest
 from injection import inject, parse_faults
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import HumanSample
+from handmap_core.stream.rejoin import PALM_SPEED, TURN_SPEED
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.apps.offline.summary import find_holds, summarise
 from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.stream.rejoin import PALM_SPEED, TURN_SPEED
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from handmap_core.human.recording import Recording
 from handmap_qp.apps.offline.poses import (
     CURLED,
     PINCH_GAP,
@@ -19,7 +20,6 @@ from handmap_qp.apps.offline.poses import (
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import read_recording
 
 RATE = 50.0

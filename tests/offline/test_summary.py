@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from handmap_core.human.recording import Recording
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.apps.offline.summary import notes, summarise, table_rows
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import LimitSpec
-from handmap_qp.human.recording import Recording
 
 HUMAN = load_hand("human", points="landmarks")
 

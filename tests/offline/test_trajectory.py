@@ -12,9 +12,9 @@ from joint_motion import map_motion
 from motion_cases import HUMAN, waving
 from strategies import generators
 
+from handmap_core.human.recording import Recording
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording, rms_derivative
-from handmap_qp.human.recording import Recording
 
 
 def test_the_motions_sample_times_bound_the_speed() -> None:

@@ -14,7 +14,7 @@ from strategies import generators
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
-from handmap_qp.hands.spec import OTHER_SIDE, Side
+from handmap_qp.hands import OTHER_SIDE, Side
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handmap_core.stream.rejoin import _Place
+from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import Array, lengths
-from handmap_qp.stream.rejoin import _Place
-from handmap_qp.stream.smoothing import Smoothing
 
 _LONGEST_GAP = 0.5  # a gap in time longer than this starts the filter again [s]
 _HAND = 0.1  # lever that turns the wrist's angles into lengths [m]

@@ -30,9 +30,9 @@ import mujoco
 import numpy as np
 import qpsolvers
 
+from handmap_core.ik.options import IkOptions
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.ik.options import IkOptions
 
 SHRINK = 7e-7
 """Factor of all right-hand sides.

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from scipy.ndimage import median_filter
 
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import PALM, finger_chains
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import LARGEST_ROLL
 from handmap_qp.human.contact_gap import tip_gaps
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import PALM, finger_chains
 from handmap_qp.se3 import Array, lengths, rigid_fit, transform_points
 
 _BENT = math.sin(math.radians(15.0))

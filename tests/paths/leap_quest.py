@@ -14,8 +14,8 @@ import numpy as np
 from browser import Browser, find_chromium
 from paths.fresh import Fresh, stop
 
+from handmap_core.human.recording import sample_columns
 from handmap_qp import read_recording
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.trackers.layouts.tables import load_layout
 
 ROBOT = "leap_right"

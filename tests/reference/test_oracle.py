@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from marks import crossed
 
+from handmap_core.ik.motion import Motion
 from handmap_qp import (
     TELEMANIPULATION,
     HandMapper,
@@ -28,7 +29,6 @@ from handmap_qp.errors import (
     MissingExtraError,
     MissingPackageError,
 )
-from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.trackers.formats import read_recording

@@ -127,7 +127,7 @@ def test_both_packages_are_in_one_process(saved: Path) -> None:
     for each in (copy.deepcopy(follower), follower):
         given = each.mapper.map_step(q, np.eye(4), dt=0.02)
         expected = copy.deepcopy(other).mapper.map_step(q, np.eye(4), dt=0.02)
-        assert type(given) is not type(expected)
+        assert type(given) is type(expected)
         np.testing.assert_allclose(given.command.q, expected.command.q, atol=1e-12)
         assert given.status == expected.status
         assert given.ik.iterations == expected.ik.iterations

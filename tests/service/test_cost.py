@@ -22,13 +22,13 @@ import pytest
 from live_cases import moving_hand
 from service_tools import CACHE, PERIOD, Sampler, human_q, opening
 
+from handmap_core.human.recording import Recording, sample_columns
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import Metrics
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import HandSample, Step
 from handmap_qp.hands import Side
-from handmap_qp.human.recording import Recording, sample_columns
 
 MOST_CALLS = 118
 """Calls of Python and C for an answer."""

@@ -22,6 +22,7 @@ from service_tools import (
     serving,
 )
 
+from handmap_core.ik.tasks import AttachedPoints
 from handmap_qp import Recording
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session
@@ -30,7 +31,6 @@ from handmap_qp.client.messages import PROTOCOL, Command, HandSample, Measured, 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human import sample_columns
-from handmap_qp.ik.tasks import AttachedPoints
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.stream.held_object import ObjectFollower
 

@@ -22,13 +22,13 @@ from service_tools import (
     serving,
 )
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session, to_pose
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Error, Step
 from handmap_qp.errors import RefusedError
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.layouts.base import Layout
 from handmap_qp.trackers.layouts.tables import load_layout
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from msgspec.structs import fields
 from strategies import motion_of, rotations, translations
 
+from handmap_core.stream.step_table import STATUS_NAMES
 from handmap_qp.apps.service.dispatch import decode_request, encode_reply
 from handmap_qp.apps.service.safety import SessionState
 from handmap_qp.apps.service.session import to_pose
@@ -36,7 +37,6 @@ from handmap_qp.client.messages import (
     Step,
 )
 from handmap_qp.mapping.presets import known_options
-from handmap_qp.stream.step_table import STATUS_NAMES
 
 _PAGE = Path(__file__).parents[2] / "docs" / "messages.py"
 messages = SimpleNamespace(**runpy.run_path(str(_PAGE), run_name="messages"))

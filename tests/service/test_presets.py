@@ -24,6 +24,7 @@ from service_tools import (
     speeds,
 )
 
+from handmap_core.human.sample import TIPS
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -39,7 +40,6 @@ from handmap_qp.apps.service.session import Session, to_pose
 from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
@@ -316,8 +316,8 @@ def test_a_robot_anywhere_closes_to_the_fist_it_is_shown_first(
 
 def reach_shares(robot: Any, q: np.ndarray) -> np.ndarray:
     """Return the distance from knuckle to tip of every finger as a share of its reach."""
+    from handmap_core.ik.tasks import AttachedPoints
     from handmap_qp.hands.fingers import find_fingers
-    from handmap_qp.ik.tasks import AttachedPoints
 
     shares = []
     configuration = robot.configuration()

@@ -24,8 +24,8 @@ from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.apps.service.server import Server
 from handmap_qp.client import Client, Command, ServiceError
 from handmap_qp.errors import HandError
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.robot_follower import RobotFollower

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from service_tools import CACHE, opening
 from strategies import generators, motion_of, rotations, translations
 
+from handmap_core.ik.motion import SHORTEST_DT
+from handmap_core.ik.options import IkOptions
 from handmap_qp.apps.service.safety import CommandedRobot, SessionClock
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.motion import SHORTEST_DT
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 
 ROBOT = CACHE.robot("three_finger", None, None)

@@ -22,7 +22,7 @@ from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.safety import HEARTBEAT
 from handmap_qp.apps.service.session import Session
 from handmap_qp.client.messages import Pose
-from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.hands import LONGEST_STOP
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 

@@ -19,10 +19,10 @@ from service_tools import (
     run_now,
 )
 
+from handmap_core.ik.motion import SHORTEST_DT
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session
 from handmap_qp.client.messages import Command
-from handmap_qp.ik.motion import SHORTEST_DT
 
 LIMIT = 30.0
 """Acceleration limit of the sessions [rad/s^2]."""

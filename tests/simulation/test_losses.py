@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from picks import kept, made_pick
 
+from handmap_core.human.recording import Recording
 from handmap_qp import InvalidInputError, cli, load_hand
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.trajectory import RobotMotion
@@ -35,7 +36,6 @@ from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import urdf_directory
 from handmap_qp.hands.torques import torque_limits
-from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import Sphere
 from handmap_qp.trackers import read_recording
 from handmap_qp.trackers.formats.archive import read_archive

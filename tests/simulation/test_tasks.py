@@ -15,6 +15,7 @@ from picks import HOUSEHOLD, made_pick, picks
 from scipy.spatial.transform import Rotation
 from simulation_cases import CUBE
 
+from handmap_core.human.recording import Recording
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
@@ -29,10 +30,10 @@ from handmap_qp.apps.simulation.pinch import (
 )
 from handmap_qp.apps.simulation.pinch_rows import describe_trial, success_rate
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
+from handmap_qp.hands import Side
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.spec import PadSpec, Side
-from handmap_qp.human.recording import Recording
+from handmap_qp.hands.spec import PadSpec
 from handmap_qp.mapping.objects import (
     Box,
     Cylinder,

@@ -26,8 +26,8 @@ from source_cases import (
     track,
 )
 
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample
+from handmap_core.human.sample import HumanSample
+from handmap_qp.hands import Side
 from handmap_qp.trackers import SIDES, load_layout
 
 avp = pytest.importorskip(

@@ -27,10 +27,10 @@ from source_cases import (
     wait_until_read,
 )
 
+from handmap_core.human.sample import HumanSample
 from handmap_qp import HumanLengths, load_hand, load_layout
 from handmap_qp.apps.live.cli import Target
 from handmap_qp.human.person import Person, write_person
-from handmap_qp.human.sample import HumanSample
 
 datagrams = pytest.importorskip(
     "handmap_sources.datagrams", reason="needs packages/sources and what it installs"

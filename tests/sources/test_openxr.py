@@ -23,7 +23,7 @@ from source_cases import (
     wait_until_read,
 )
 
-from handmap_qp.human.sample import HumanSample
+from handmap_core.human.sample import HumanSample
 from handmap_qp.trackers import load_layout
 
 pytest.importorskip("xr", reason="needs pyopenxr")

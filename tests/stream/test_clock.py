@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handmap_core.core import core
+from handmap_core.human.sample import HumanSample
+from handmap_core.ik.motion import LONGEST_STEP
 from handmap_qp import load_hand
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik.motion import LONGEST_STEP
 from handmap_qp.stream.guard import GAP, SampleClock, StreamGuard
 
 PERIOD = 0.01

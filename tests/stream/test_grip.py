@@ -13,21 +13,21 @@ import pytest
 from grip_cases import HUMAN, Blocked, gap_of, grip_follower, run, samples
 from picks import made_pick
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.ik.tasks import AttachedPoints, JointPositions, PointDistances
+from handmap_core.mapping.step import MapStep
+from handmap_core.stream.closing_pads import ClosingPads, PadsState
+from handmap_core.stream.object_place import ObjectPlace
 from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human import tip_gaps
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import transform_points, unit
-from handmap_qp.stream.closing_pads import ClosingPads, PadsState
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import Gathering, GripOptions, _Grip
-from handmap_qp.stream.object_place import ObjectPlace
 
 
 @pytest.fixture(scope="module")

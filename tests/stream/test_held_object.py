@@ -14,11 +14,12 @@ import pytest
 from holding import FINGERS, Hold, hold
 from pad_places import depth, pads_of
 
+from handmap_core.human.recording import Recording, mirrored, sample_columns
+from handmap_core.mapping.step import MapStep
 from handmap_qp import Hand, HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.human.recording import Recording, mirrored, sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.objects import (
@@ -31,7 +32,6 @@ from handmap_qp.mapping.objects import (
     nearest,
     parse_object,
 )
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripOptions

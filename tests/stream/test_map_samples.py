@@ -12,13 +12,13 @@ from faulty_recordings import DEMO
 from injection import inject, parse_faults
 from oracles.alpha_beta import ReferenceSmoother
 
+from handmap_core.human.recording import Recording, sample_columns
+from handmap_core.human.sample import HumanSample
+from handmap_core.stream.rejoin import Rejoin
+from handmap_core.stream.step_table import StepTable
 from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.rejoin import Rejoin
-from handmap_qp.stream.step_table import StepTable
 
 HUMAN = load_hand(
     "human", points="landmarks", lengths=HumanLengths.from_hand_length(0.19)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.stream.object_place import ObjectPlace
+from handmap_core.stream.object_place import ObjectPlace
 
 CENTRE = np.array([0.1, -0.2, 0.3])
 X = np.array([1.0, 0.0, 0.0])

@@ -12,6 +12,15 @@ import pinocchio as pin
 import pytest
 from injection import inject, parse_faults
 
+from handmap_core.human.sample import UNPROVEN_SPEED, HumanSample
+from handmap_core.mapping.step import MapStep
+from handmap_core.stream.rejoin import (
+    FINGER_SPEED,
+    PALM_SPEED,
+    TURN_SPEED,
+    Rejoin,
+    RejoinKind,
+)
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -21,17 +30,8 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import affine
-from handmap_qp.stream.rejoin import (
-    FINGER_SPEED,
-    PALM_SPEED,
-    TURN_SPEED,
-    Rejoin,
-    RejoinKind,
-)
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

@@ -13,6 +13,7 @@ import pytest
 from mapping_cases import little_pose, near_rest
 from oracles.alpha_beta import ReferenceSmoother
 
+from handmap_core.stream.smoothing import Smoother
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -23,7 +24,6 @@ from handmap_qp import (
 )
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.stream.smoothing import Smoother
 
 HUMAN = load_hand("human")
 THREE = load_hand("three_finger")

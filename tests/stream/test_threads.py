@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from faulty_recordings import DEMO
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.ik.tasks import JointPositions
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -25,8 +27,6 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.errors import HandmapError
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik.tasks import JointPositions
 from handmap_qp.mapping.method import core_pose
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck

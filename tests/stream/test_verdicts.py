@@ -12,10 +12,10 @@ from msgspec import structs
 from verdict_cases import record, streams
 
 from handmap_core.core import core
+from handmap_core.human.findings import WORDS
+from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import RULES, HumanSample
 from handmap_qp import load_hand
-from handmap_qp.human.findings import WORDS
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import RULES, HumanSample
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
 

@@ -8,11 +8,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from handmap_core.human.recording import Recording
 from handmap_qp.apps.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import SERIAL, Engine
 from handmap_qp.apps.datasets.sources import Job, JobOptions
 from handmap_qp.apps.datasets.workers import time_limit
-from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import (
     Source,
     list_sources,

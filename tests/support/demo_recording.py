@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.human.sample import human_name
+from handmap_qp.hands import Side
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import human_name
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine, quat_wxyz_from_rotation, rotation_from_rpy
 

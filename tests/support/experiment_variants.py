@@ -35,9 +35,9 @@ from section_four.experiment import (
     run_experiment,
 )
 
+from handmap_core.ik.options import IkOptions
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf, set_numbers
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.reference.decomposition import decompose
 from handmap_qp.reference.estimation import estimate_motion

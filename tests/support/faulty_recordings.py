@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from injection import inject, parse_faults
 
-from handmap_qp.human.recording import Recording, sample_columns
+from handmap_core.human.recording import Recording, sample_columns
 from handmap_qp.trackers.formats import read_recording
 
 DEMO = read_recording("demo", "right")

@@ -30,24 +30,24 @@ from faulty_recordings import faulty
 from meeting_hands import meeting_hands
 
 from handmap_core.core import core
+from handmap_core.human.recording import Recording, mirrored
+from handmap_core.human.sample import human_name
+from handmap_core.stream.rejoin import RejoinKind
+from handmap_core.stream.step_table import RULE_NAMES, STATUS_NAMES
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import (
     InvalidOptionsError,
     MissingExtraError,
     MissingPackageError,
 )
+from handmap_qp.hands import Side
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_names, robot_files
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.stream.rejoin import RejoinKind
-from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES
 from handmap_qp.trackers.formats import read_recording
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from picks import made_pick
 
+from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import HumanSample
+from handmap_core.mapping.step import MapStep
 from handmap_qp import Hand, HandMapper, Recording, load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.hands import Side
 from handmap_qp.mapping.hand_pair import robot_fingers
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower

@@ -13,6 +13,10 @@ import pinocchio as pin
 import pytest
 
 from handmap_core.core import core
+from handmap_core.ik.gate import Gate
+from handmap_core.ik.motion import SHORTEST_DT, Motion
+from handmap_core.ik.options import IkOptions
+from handmap_core.ik.tasks import Goal, Task
 from handmap_qp import MissingExtraError, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
@@ -26,11 +30,7 @@ from handmap_qp.hands.spec import (
     read_hand_spec,
 )
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.ik.gate import Gate
-from handmap_qp.ik.motion import SHORTEST_DT, Motion
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Goal, Task
 from handmap_qp.reference.problem import direct_cost
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")

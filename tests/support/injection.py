@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.human.sample import LANDMARK_COUNT, UNSEEN, HumanSample
+from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.human.sample import LANDMARK_COUNT, UNSEEN, HumanSample
 from handmap_qp.se3 import affine, transform_points, unit
-from handmap_qp.trackers.wrist_axes import palm_axes
 
 
 class Onset(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from handmap_qp import HandMapper
 from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 
 
 def map_motion(

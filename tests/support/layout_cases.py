@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.trackers.layouts.base import Layout
 
 

@@ -11,15 +11,15 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_core.human.sample import human_name
+from handmap_core.trackers.wrist_axes import CONVENTIONS, palm_axes
 from handmap_qp import load_hand
+from handmap_qp.hands import OTHER_SIDE, Side
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import OTHER_SIDE, Side
-from handmap_qp.human.sample import human_name
 from handmap_qp.se3 import affine
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import known_orders
-from handmap_qp.trackers.wrist_axes import CONVENTIONS, palm_axes
 
 _RATE = 60.0
 _HANDS: tuple[tuple[Side, float | None], ...] = (

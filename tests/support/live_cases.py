@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from handmap_core.human.recording import Recording
+from handmap_qp.hands import Side
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording
 
 PERIOD = 1.0 / 60.0
 

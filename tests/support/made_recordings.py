@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from handmap_qp.human.recording import Recording
+from handmap_core.human.recording import Recording
 from handmap_qp.trackers.formats import read_recording, write_recordings
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from handmap_core.human.sample import human_name
 from handmap_qp import Recording, load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import human_name
+from handmap_qp.hands import Side
 
 _RATE = 60.0
 

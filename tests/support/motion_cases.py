@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp import load_hand
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.se3 import affine
 
 HUMAN = load_hand("human", points="joints")

@@ -19,7 +19,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 
 # Percentiles between which a range is taken; they exclude outliers of the tracker.
 _RANGE = (2.0, 98.0)

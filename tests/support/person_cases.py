@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from handmap_core.human.recording import Recording
 from handmap_qp import HumanLengths, load_hand
-from handmap_qp.human.recording import Recording
 
 LENGTHS = HumanLengths.from_hand_length(0.18)
 

@@ -15,11 +15,11 @@ import numpy as np
 from demo_recording import GESTURES
 from handmap_score.tasks import household
 
+from handmap_core.human.recording import Recording
+from handmap_core.human.sample import human_name
 from handmap_qp import HumanLengths, load_hand
 from handmap_qp.apps.simulation.pinch import PinchTrial
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import human_name
+from handmap_qp.hands import Side
 from handmap_qp.se3 import affine, rotation_from_rpy, smoothstep
 from handmap_qp.trackers.formats import read_recording
 

@@ -21,15 +21,14 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.ik.gate import IkGate, Rows
+from handmap_core.ik.motion import Motion, When
+from handmap_core.ik.options import IkOptions
+from handmap_core.ik.tasks import Goal
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands import PinocchioConfiguration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.collision import Rows
-from handmap_qp.ik.gate import IkGate
-from handmap_qp.ik.motion import Motion, When
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Goal
 from handmap_qp.reference import ReferenceIk
 from handmap_qp.reference.problem import point_rows, wrist_rows
 
@@ -40,7 +39,7 @@ RANK_TOLERANCE = 1e-10
 def weighted_task(
     hand: Hand,
     options: IkOptions,
-    configuration: Configuration,
+    configuration: PinocchioConfiguration,
     points: np.ndarray,
     wrist: pin.SE3 | None,
 ) -> tuple[np.ndarray, np.ndarray]:

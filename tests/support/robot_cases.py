@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from handmap_core.human.sample import human_name
 from handmap_qp import HumanLengths, load_hand
+from handmap_qp.hands import Side
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import human_name
 
 LENGTH = 0.18
 """Length of the person's hands [m]."""

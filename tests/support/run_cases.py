@@ -16,11 +16,11 @@ import numpy as np
 from faulty_recordings import DEMO
 from injection import inject, parse_faults
 
+from handmap_core.human.recording import Recording, sample_columns
 from handmap_qp import Follower, HandMapper, HumanSample, load_hand
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.hands import Hand, Side, hand_files, load_robot, robot_files
 from handmap_qp.human import PALM, landmarks_at_rest, scaled_human
-from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.se3 import (
     affine,

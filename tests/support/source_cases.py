@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 from patience import wait_until
 
+from handmap_core.human.recording import Recording, sample_columns
+from handmap_core.human.sample import HumanSample
 from handmap_qp import cli
-from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.hands import Side
 from handmap_qp.trackers.formats import read_recording
 
 SENDER = Path(__file__).parents[1] / "sources" / "sender.py"

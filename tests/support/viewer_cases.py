@@ -13,7 +13,7 @@ import numpy as np
 from handmap_qp import Recording, load_hand
 from handmap_qp.apps.viewer.controls import SteeringControls
 from handmap_qp.apps.viewer.replay import Replay
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 

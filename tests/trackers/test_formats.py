@@ -26,8 +26,8 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.errors import DiskFullError, MissingExtraError
+from handmap_qp.hands import Side
 from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.trackers.formats import (
     FORMATS,

@@ -15,9 +15,9 @@ from injection import (
     parse_faults,
 )
 
+from handmap_core.human.sample import PALM, HumanSample
 from handmap_qp import HandmapError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.sample import PALM, HumanSample
 from handmap_qp.se3 import rigid_fit
 
 PERIOD = 1.0 / 50.0

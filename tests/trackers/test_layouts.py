@@ -16,9 +16,10 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from layout_cases import wrist_beside
 from scipy.spatial.transform import Rotation
 
+from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp import InvalidInputError, RecordingError, read_recording
+from handmap_qp.hands import Side
 from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, sized_human
@@ -26,7 +27,6 @@ from handmap_qp.trackers.layouts.files import read_with_layout
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout, table_text
 from handmap_qp.trackers.plausibility import examine_recording
-from handmap_qp.trackers.wrist_axes import palm_axes
 
 SIDES: tuple[Side, ...] = ("right", "left")
 TABLES = Path(__file__).resolve().parents[2] / "handmap_qp" / "trackers" / "layouts"

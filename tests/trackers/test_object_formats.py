@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp import InvalidInputError, Recording, RecordingError, read_recording
 from handmap_qp.apps.datasets.sources import find_files
 from handmap_qp.cli import main
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.formats import FORMATS, list_sources, write_recordings
 

@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from pinocchio import exp3
 
+from handmap_core.human.sample import HumanSample, Verdict
+from handmap_core.trackers.hand_geometry import misfit, palmar_evidence
+from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp import (
     Follower,
     HandMapper,
@@ -21,16 +24,13 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.trackers.hand_geometry import misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (
     Finding,
     InputCheck,
     check_recording,
     examine_recording,
 )
-from handmap_qp.trackers.wrist_axes import palm_axes
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,7 @@ from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import skip_wakeup_race
-from handmap_qp.human.recording import HumanMotion
+from handmap_qp.human import HumanMotion
 from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 

@@ -22,6 +22,8 @@ from viewer_cases import (
     press,
 )
 
+from handmap_core.human.sample import TIPS
+from handmap_core.trackers.hand_geometry import BONES, NEIGHBOURS
 from handmap_qp import HandMapper, InvalidInputError, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer.controls import KEPT, NOTHING
@@ -30,11 +32,9 @@ from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.replay import ReplayViewer
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene
-from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
-from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

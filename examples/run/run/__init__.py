@@ -25,10 +25,10 @@ from handmap_core.errors import (
     InvalidInputError,
     InvalidOptionsError,
 )
-from handmap_qp.human.sample import HumanSample
+from handmap_core.human.sample import HumanSample
+from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.hand_grip import GripOptions
-from handmap_qp.stream.smoothing import Smoothing
 from .saved import load, load_robot
 
 __all__ = [

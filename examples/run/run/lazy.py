@@ -10,13 +10,13 @@ def named(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
     Args:
         package: Its name.
-        homes: The module of each name; one of the same name is that module itself.
+        homes: The module of each name; one of the same name in the package is that module itself.
     """
 
     def find(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"{package} has no {name}")
-        home = import_module(f"{package}.{homes[name]}")
-        return home if name == homes[name] else getattr(home, name)
+        home = import_module(homes[name])
+        return home if homes[name] == f"{package}.{name}" else getattr(home, name)
 
     return find

@@ -12,8 +12,8 @@ import pinocchio as pin
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
+from handmap_qp.hands.compiled import hand_model
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.compiled import hand_model
 from handmap_qp.mapping import (
     HandMapper,
     RobotMapper,

@@ -14,7 +14,7 @@ from handmap_qp.hands import (
     paired,
     read_collision_shapes,
 )
-from handmap_qp.ik import core_tree, pair_bounds
+from handmap_qp.ik import pair_bounds
 from handmap_qp.mapping import robot_fingers
 from .hand_trace import ByFinger
 
@@ -77,4 +77,4 @@ class GapMeter:
         """Measure the least distance of any of the pairs, at most `most` [m], shape (T,)."""
         hand = self._hand
         pairs = pair_bounds(hand.model, geometry)
-        return core_tree(hand).smallest_distances(pairs.core, q, [0], most)[:, 0]
+        return hand.tree.smallest_distances(pairs.core, q, [0], most)[:, 0]

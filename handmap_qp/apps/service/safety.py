@@ -6,7 +6,7 @@ outlasts everything but its clearing, which leaves the robot released.
 
 A mapper does not know how much time has really passed, that it was reset, that the former session
 left the robot elsewhere, or that a client switched speed limits off. So the robot has a gate of its
-own (`handmap_qp.ik.gate`), and `SessionClock` limits the time that a command may account for.
+own (`handmap_core.ik.gate`), and `SessionClock` limits the time that a command may account for.
 """
 
 import math

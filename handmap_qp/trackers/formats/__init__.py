@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_core.errors import InvalidInputError, RecordingError, expect
+from handmap_core.plugins import Plugins
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import Recording, regular_time
-from handmap_qp.plugins import Plugins
 from .archive import NpyFormat, NpzFormat
 from .base import (
     SIDES,

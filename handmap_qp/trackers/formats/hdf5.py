@@ -23,10 +23,10 @@ import numpy as np
 
 from handmap_core.errors import InvalidInputError, expect, require
 from handmap_core.se3 import Array, affine
+from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
-from handmap_qp.trackers.wrist_axes import palm_axes
 from .archive import LARGEST_ARCHIVE
 from .base import (
     COLUMNS,

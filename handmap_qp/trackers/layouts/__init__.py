@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
-from handmap_qp.plugins import Plugins
+from handmap_core.plugins import Plugins
 
 if TYPE_CHECKING:
     from .base import Layout

@@ -23,6 +23,7 @@ from handmap_core.se3 import (
     check_poses,
     pose_from_xyz_quat,
 )
+from handmap_core.trackers.wrist_axes import axes_convention
 from handmap_qp.hands import (
     OTHER_SIDE,
     Document,
@@ -45,7 +46,6 @@ from handmap_qp.human import (
     finite_samples,
     human_name,
 )
-from handmap_qp.trackers.wrist_axes import axes_convention
 from . import LAYOUTS
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.trackers.hand_geometry import palmar_evidence
 from handmap_qp.errors import expect
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording, finite_samples
@@ -26,7 +27,6 @@ from handmap_qp.trackers.formats.base import RecordingFormat, side_of
 from handmap_qp.trackers.formats.hdf5 import SUFFIXES, numbers, opened
 from handmap_qp.trackers.formats.mano import FROM_MANO, HandArrays, ManoFormat
 from handmap_qp.trackers.formats.pickled import read_table
-from handmap_qp.trackers.hand_geometry import palmar_evidence
 
 KEYPOINTS = "pred_keypoints_3d"
 FLAGS = ("right", "is_right")

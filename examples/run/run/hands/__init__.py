@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 
 from handmap_core.core import core
 from handmap_core.errors import expect
+from handmap_core.hands import CONTACT_GAP as CONTACT_GAP
+from handmap_core.hands import FINGERS as FINGERS
+from handmap_core.hands import LINK_MARGIN as LINK_MARGIN
+from handmap_core.hands import LONGEST_STOP as LONGEST_STOP
+from handmap_core.hands import NEAR as NEAR
+from handmap_core.hands import OTHER_SIDE as OTHER_SIDE
+from handmap_core.hands import SLIDING_STIFFNESS as SLIDING_STIFFNESS
+from handmap_core.hands import STIFFNESS as STIFFNESS
+from handmap_core.hands import THUMB as THUMB
+from handmap_core.hands import UPRIGHT as UPRIGHT
+from handmap_core.hands import Names, Pad, Side, Values
+from handmap_core.hands import PadPair as PadPair
 from handmap_core.se3 import (
     Array,
     as_floats,
@@ -20,12 +32,6 @@ from handmap_core.se3 import (
 )
 from handmap_qp.hands import configuration
 from handmap_qp.hands.configuration import AttachedPoints
-from handmap_qp.hands.pad import Pad
-from handmap_qp.hands.pad import PadPair as PadPair
-
-Names = tuple[str, ...]
-Values = dict[str, Any]
-Side = Literal["right", "left"]
 
 
 class Record:
@@ -162,7 +168,7 @@ class CollisionLimit(Record):
         return self.columns
 
 
-class Configuration(configuration.Configuration):
+class Configuration(configuration.PinocchioConfiguration):
     """A hand in one posture, placed by the core; see `hands.configuration`."""
 
     _hand: Hand
@@ -175,6 +181,9 @@ class Configuration(configuration.Configuration):
         self.q = frozen(np.array(q))
 
     __setstate__ = place
+
+
+PinocchioConfiguration = Configuration
 
 
 class Grasp(Record):
@@ -199,6 +208,7 @@ class Hand(Record):
     name: str
     side: Side
     is_floating: bool
+    spec: Any
     # Of a human hand, its landmarks as points.
     landmarks: tuple[Any, ...] | None = None
     tree_model: bytes
@@ -228,6 +238,17 @@ class Hand(Record):
     def __getstate__(self) -> Values:
         """Return all but the core's own, which a copy makes again."""
         return {name: value for name, value in vars(self).items() if name != "tree"}
+
+    @property
+    def wrist_speeds(self) -> tuple[float, float]:
+        """Speed limits of a floating wrist [m/s, rad/s]."""
+        wrist = self.spec.wrist
+        return wrist.max_linear_speed, wrist.max_angular_speed
+
+    @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward."""
+        return self.spec.upright
 
     @property
     def hands(self) -> tuple[Hand, ...]:
@@ -322,4 +343,3 @@ KINDS = {
     )
 }
 """Kinds of records that do something, by name."""
-# Constants of the tree follow: see `taken.py`.

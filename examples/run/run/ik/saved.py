@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from handmap_core.ik.gate import IkGate
+from handmap_core.ik.motion import Motion
+from handmap_core.ik.options import IkOptions
 from handmap_qp.ik import qp
-from handmap_qp.ik.gate import IkGate
-from handmap_qp.ik.motion import Motion
-from handmap_qp.ik.options import IkOptions
 
 
 class PointIk(qp.PointIk):

@@ -1,0 +1,67 @@
+"""Hands, as far as what runs for every sample needs to know them."""
+
+from .configuration import (
+    AttachedPoints,
+    Configuration,
+    Frame,
+    KinematicModel,
+    Pose,
+    moved_by,
+)
+from .contact_yield import (
+    NEAR,
+    ContactYield,
+)
+from .hand import (
+    Hand,
+    Point,
+)
+from .names import (
+    CONTACT_GAP,
+    FINGERS,
+    LINK_MARGIN,
+    LONGEST_STOP,
+    OTHER_SIDE,
+    SIDES,
+    THUMB,
+    UPRIGHT,
+    Names,
+    Side,
+    Values,
+)
+from .pad import (
+    Pad,
+    PadPair,
+)
+from .stiffness import (
+    SLIDING_STIFFNESS,
+    STIFFNESS,
+)
+
+__all__ = [
+    "CONTACT_GAP",
+    "FINGERS",
+    "LINK_MARGIN",
+    "LONGEST_STOP",
+    "NEAR",
+    "OTHER_SIDE",
+    "SIDES",
+    "SLIDING_STIFFNESS",
+    "STIFFNESS",
+    "THUMB",
+    "UPRIGHT",
+    "AttachedPoints",
+    "Configuration",
+    "ContactYield",
+    "Frame",
+    "Hand",
+    "KinematicModel",
+    "Names",
+    "Pad",
+    "PadPair",
+    "Point",
+    "Pose",
+    "Side",
+    "Values",
+    "moved_by",
+]
