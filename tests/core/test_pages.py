@@ -176,7 +176,7 @@ def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     assert "<math" in html
     assert "$$" not in re.sub(r"<pre.*?</pre>", "", html, flags=re.DOTALL)
     assert not list(site.rglob("*.py"))
-    described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
+    described = set(re.findall(r'id="handmap_(?:qp|core)\.(?:\w+\.)*(\w+)"', html))
     assert {*handmap_qp.__all__} - {"__version__"} <= described
     # Those that a base class has belong to the reference, too.
     members = vars(Mapper) | vars(handmap_qp.HandMapper)
