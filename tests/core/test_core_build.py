@@ -162,6 +162,15 @@ def own_package(tmp_path: Path) -> Path:
     copied = shutil.copytree(CORE, tmp_path / "core", ignore=ignore) / "handmap_core"
     if not list(copied.glob("_core.*.so")):
         pytest.skip("the core lies elsewhere")
+    # Python imports it after all .pth files. One of them may have put the finder of an editable
+    # install before PYTHONPATH.
+    (copied.parent / "sitecustomize.py").write_text(
+        "import sys\n"
+        "sys.meta_path[:] = (\n"
+        "    each for each in sys.meta_path\n"
+        "    if not type(each).__module__.startswith('_editable_')\n"
+        ")\n"
+    )
     return copied
 
 

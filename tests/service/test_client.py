@@ -36,7 +36,7 @@ from service_tools import (
 )
 from strategies import motion_of, rotations, translations
 
-import handmap_qp.client
+import handmap_core.client
 from handmap_qp.apps.service.server import Server
 from handmap_qp.client import (
     AsyncClient,
@@ -52,7 +52,7 @@ from handmap_qp.hands.human import HumanLengths
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-FOLDER = Path(handmap_qp.client.__file__).parent
+FOLDER = Path(handmap_core.client.__file__).parent
 WRIST = np.eye(4)
 
 
@@ -80,7 +80,8 @@ def test_it_needs_numpy_msgspec_and_zmq_and_nothing_else() -> None:
 def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> None:
     shutil.copytree(FOLDER, tmp_path / "copied")
     code = (
-        "import sys; sys.modules['handmap_qp'] = None; sys.path.insert(0, '.')\n"
+        "import sys; sys.path.insert(0, '.')\n"
+        "sys.modules.update({'handmap_core': None, 'handmap_qp': None})\n"
         f"import copied; client = copied.Client({address_of(server)!r}, timeout={PATIENCE})\n"
         "client.open('three_finger', preset='paper')\n"
         f"print(client.step(q={human_q().tolist()}, wrist=[0, 0, 0, 0, 0, 0, 1]).status)\n"
