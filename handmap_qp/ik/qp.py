@@ -1,42 +1,24 @@
-"""Inverse kinematics as one box-constrained QP per iteration, in place of eq. (8).
+"""`PointIk`: the QP of a hand that Pinocchio has, and the ways that options may ask for.
 
-    min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + |E dq + e|^2
-          + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
-    s.t.  np.clip(q_min - q, -v dt, v dt) <= dq <= np.clip(q_max - q, -v dt, v dt)
-
-Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the weighted error
-(Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_core.ik.tasks`). The box
-never contradicts itself: where `q` starts outside its limits, the joint comes back as fast as its
-speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
-keeps the Hessian near one, where solvers work best.
-
-The compiled core poses and solves it (`handmap/qp.hpp`). `handmap_qp.reference` poses the same QP
-over Pinocchio, for other solvers and to compare with; it is loaded where `IkOptions` ask for it.
+`handmap_core.ik.qp` has the QP, and solves it. Here it is made for a hand, with the pairs of shapes
+that are kept apart. Where `IkOptions` ask for another formulation or solver, `handmap_qp.reference`
+poses and solves it; that is loaded at its first use.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import pinocchio as pin
 
-from handmap_core.core import core
 from handmap_core.errors import expect
+from handmap_core.ik import qp
 from handmap_core.ik.gate import IkGate
-from handmap_core.ik.motion import Motion, When
+from handmap_core.ik.motion import Motion
 from handmap_core.ik.options import IkOptions
-from handmap_core.ik.result import IkResult, result_of
-from handmap_core.ik.tasks import (
-    Goal,
-    PointDistances,
-    PointOffset,
-    Task,
-    TaskRows,
-    tasks_named,
-)
-from handmap_core.se3 import Array
+from handmap_core.ik.result import IkResult
+from handmap_core.ik.tasks import Goal, tasks_named
 from handmap_qp.hands import Hand, PinocchioConfiguration
 from .collision import CollisionLimit
 
@@ -49,7 +31,7 @@ if TYPE_CHECKING:
 _HORIZON = 0.012
 
 
-class PointIk:
+class PointIk(qp.PointIk[CollisionLimit]):
     """Moves a hand's reference points and wrist towards their targets, within its limits.
 
     Args:
@@ -61,11 +43,7 @@ class PointIk:
         detours: Of each hand, as of the solver that this one is a copy of; none if omitted.
 
     Attributes:
-        hand: The hand.
-        options: Weights and settings.
-        gate: Admits the displacements, and knows how the hand moves.
-        core: The compiled core of this hand.
-        reference: Poses and solves the QP in its place; None unless `options` ask for it.
+        reference: Poses and solves the QP in the core's place; None unless `options` ask for it.
 
     Raises:
         InvalidInputError: If `options` are something else.
@@ -82,18 +60,16 @@ class PointIk:
         detours: Sequence[_core.Detour] | None = None,
     ) -> None:
         expect(isinstance(options, IkOptions), "ik", "an IkOptions", value=options)
-        self.hand = hand
-        self.options = options
         collisions = None
         if contacts:
             collisions = CollisionLimit(hand, contacts, _HORIZON)
         elif options.avoids_self_collision:
             collisions = CollisionLimit(hand)
+        self._hand = hand
         self._contacts = contacts
-        self._tasks = tasks_named(options.tasks, hand)
+        tasks = tasks_named(options.tasks, hand)
         at_rest = Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns))
-        self.gate = IkGate(hand, motion or at_rest, options, collisions)
-        self.core = self.gate.core
+        super().__init__(IkGate(hand, motion or at_rest, options, collisions), tasks)
         if detours:
             self.core.go_on(detours)
         self.reference: ReferenceIk | None = None
@@ -102,6 +78,11 @@ class PointIk:
             from handmap_qp.reference.inverse_kinematics import ReferenceIk
 
             self.reference = ReferenceIk(hand, options, self.gate)
+
+    @property
+    def hand(self) -> Hand:
+        """The hand."""
+        return self._hand
 
     @property
     def is_compiled(self) -> bool:
@@ -114,135 +95,15 @@ class PointIk:
         motion = self.gate.motion
         return PointIk, (self.hand, self.options, motion, self._contacts, detours)
 
-    @cached_property
-    def _configuration(self) -> PinocchioConfiguration:
-        return self.hand.configuration()
-
     @property
     def configuration(self) -> PinocchioConfiguration:
-        """The present posture; `place` puts the hand somewhere else."""
-        self._configuration.place(self.gate.motion.q)
-        return self._configuration
+        """The present posture, by Pinocchio; `place` puts the hand somewhere else."""
+        placed = super().configuration
+        assert isinstance(placed, PinocchioConfiguration)
+        return placed
 
-    def place(self, q: Array) -> None:
-        """Put the hand at a configuration, at rest.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-        """
-        self.gate.place(q)
-
-    def solve(
-        self,
-        point_targets: Array,
-        wrist_target: Array | None,
-        dt: When,
-        *,
-        rest: Array | None = None,
-        regularisation: Array | None = None,
-        tasks: Sequence[Task] = (),
-        margins: Array | None = None,
-        speed: float = 1.0,
-    ) -> IkResult:
-        """Move the hand towards its targets for one sample.
-
-        Args:
-            point_targets: Targets of the reference points in the world [m], shape (m, 3).
-            wrist_target: Target of the wrist frame, shape (4, 4), or of each hand's of a robot, (h,
-                4, 4). None leaves it free; fixed hands need none.
-            dt: Time since the robot's last command [s], or the instant of this one; bounds the
-                displacement through the limits of speed and acceleration.
-            rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
-                [rad or m], shape (n,); the hand's rest posture if omitted.
-            regularisation: Share of the weights of the rest term and of the damping of each of
-                them, shape (n,); all of both if omitted.
-            tasks: Further terms of the cost.
-            margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
-            speed: Share of the speed limits to use. Braking from a higher speed takes the time that
-                the acceleration limit asks for.
-
-        Returns:
-            The result. On `failed`, the configuration is the one before the call, except for
-            joints outside their limits.
-        """
-        tasks = *tasks, *self._tasks
-        wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
-        postures = self.postures(self.gate.interval(dt).granted, rest, regularisation)
-        goal = Goal(
-            point_targets,
-            wrists,
-            postures,
-            tasks,
-            dt,
-            margins,
-            speed,
-            regularisation,
-        )
+    def _solved(self, goal: Goal) -> IkResult:
+        """Move the hand towards the targets of one sample, in the way that options ask for."""
         if self.reference:
             return self.reference.solve(goal)
-        return self.result_of(self._solve_in_core(goal))
-
-    def _solve_in_core(self, goal: Goal) -> core.Step:
-        """Return the core's step to the targets of one sample."""
-        distances = []
-        offsets = []
-        others = []
-        for task in goal.tasks:
-            # A subclass may have other rows.
-            if type(task) is PointDistances:
-                distances.append((task.core, task.distances, task.weights))
-            elif isinstance(task, PointOffset):
-                points = task.points
-                offsets.append((points.joints, points.offsets, task.aim, task.weight))
-            else:
-                others.append(task)
-        return self.core.solve(
-            goal.points,
-            goal.wrists,
-            goal.postures,
-            goal.dt,
-            goal.margins,
-            goal.speed,
-            goal.damping_shares,
-            distances,
-            offsets,
-            partial(self._linearise, others) if others else None,
-        )
-
-    def _linearise(self, tasks: Sequence[Task], q: Array) -> list[TaskRows]:
-        """Return the rows of tasks that the core does not have, at a configuration, (nq,)."""
-        self._configuration.place(q)
-        return [task.linearise(self._configuration) for task in tasks]
-
-    def result_of(self, step: core.Step) -> IkResult:
-        """Return the result of a step of the core."""
-        return result_of(step, self.hand, self.gate.links)
-
-    def hold(self, dt: When) -> IkResult:
-        """Bring the hand to a stop within its acceleration limit, without targets.
-
-        Args:
-            dt: Time since the robot's last command [s], or the instant of this one.
-        """
-        return self.result_of(self.core.hold(dt))
-
-    def postures(
-        self, dt: float, rest: Array | None, regularisation: Array | None = None
-    ) -> list[tuple[float | Array, Array]]:
-        """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
-        hand = self.hand
-        options = self.options
-        weight = options.rest_weight
-        of_rest = weight if regularisation is None else weight * regularisation
-        postures = [(of_rest, hand.rest if rest is None else rest)]
-        if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
-            return postures
-        # The whole displacement of a sample costs, and its difference from the last one's.
-        motion = self.gate.motion
-        start = motion.q[hand.q_indices]
-        ahead = start + dt * motion.velocity[hand.joint_columns]
-        return [
-            *postures,
-            (options.speed_weight, start),
-            (options.acceleration_weight, ahead),
-        ]
+        return super()._solved(goal)

@@ -76,6 +76,7 @@ class Gate(Generic[Kept]):
 
     Attributes:
         hand: As given.
+        options: As given.
         limits: Of position, speed and acceleration.
         collisions: As given.
         links: Links of each pair; at -1, there are none.
@@ -96,7 +97,7 @@ class Gate(Generic[Kept]):
         bounds = collisions.bounds if collisions else None
         self.limits = _limits_of(hand, options, bounds)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
-        self._options = options
+        self.options = options
         self.core = self._make_core()
         self.motion = motion
 
@@ -252,6 +253,6 @@ class IkGate(Gate[Kept]):
 
     def _make_core(self) -> _core.Ik:
         """Return the core's `Ik` of this hand, which is a gate."""
-        options = encoded(ik_model(self.hand, self._options))
+        options = encoded(ik_model(self.hand, self.options))
         limits = encoded(self.limits)
         return core.Ik(self.hand.tree, options, limits, *self._pairs())
