@@ -26,13 +26,13 @@ import numpy as np
 import shared_hands
 
 from handmap_core.human.recording import mirrored
+from handmap_core.mapping.alignment import rotation_of
 from handmap_core.mapping.step import arm_held_by
 from handmap_qp import Hand, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
-from handmap_qp.mapping.alignment import rotation_of
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine
 

@@ -7,9 +7,10 @@ from handmap_core.mapping.alignment import (
     rotation_onto,
 )
 from handmap_core.mapping.command_time import check_dt, check_when, own_time
+from handmap_core.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_core.mapping.hand_request import HandRequest
 from handmap_core.mapping.moving_robot import MovingRobot
-from handmap_core.mapping.palm import PalmMap
+from handmap_core.mapping.palm import PalmMap, palm_of
 from handmap_core.mapping.readers import JointReader, LandmarkReader, check_joints
 from handmap_core.mapping.reference import Placement, Reference
 from handmap_core.mapping.robot_hand import RobotHand
@@ -30,7 +31,6 @@ from handmap_core.mapping.targets import (
     core_pose,
 )
 from .alignment import AlignedOptions, find_alignment
-from .estimation import MotionEstimate, MotionEstimator
 from .hand_mapper import HandMapper
 from .hand_pair import (
     KNUCKLES,
@@ -60,7 +60,7 @@ from .objects import (
     surface,
 )
 from .options_file import options_text, read_options
-from .palm import PalmMethod, palm_of, require_points
+from .palm import PalmMethod, require_points
 from .presets import (
     IK_NAMES,
     Choice,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.mapping.alignment import rotation_of
-from handmap_core.mapping.targets import AnyPose, HumanPose, RobotPosture, TargetMap
-from handmap_core.se3 import Array, affine
+from handmap_core.mapping import palm
+from handmap_core.se3 import Array
 from handmap_qp.hands import Hand
 from .alignment import AlignedOptions
 
@@ -18,45 +17,21 @@ if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
 
 
-class PalmMethod:
+class PalmMethod(palm.PalmMethod[Hand]):
     """Base of methods for two hands whose wrist target is that of a `PalmMap`.
 
     See `BoundMethod`.
+
+    Args:
+        choices: The method.
+        human: The hand that leads.
+        robot: The hand that follows.
     """
 
     contacts: ShapePairs | None = None
-    needs_wrist = "the pose of the palm"
-    reference_needs_wrist = ""
-    renews_reference = False
-    map_type: Callable[..., TargetMap]
-    """Its map, made of it and both hands at the reference; by `start`."""
 
     def __init__(self, choices: AlignedOptions, human: Hand, robot: Hand) -> None:
-        self.alignment = choices.alignment
-        self.wrist_to_palm = human.wrist_to_palm
-        self.human = human
-        self.robot = robot
-
-    def palm_of(self, sample: AnyPose) -> Array:
-        """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
-        assert sample.wrist is not None
-        return sample.wrist @ self.wrist_to_palm
-
-    def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm in the robot's world; the origin where `palm` aligns them."""
-        if self.alignment == "palm":
-            return np.eye(4)
-        return affine(rotation_of(self.alignment)) @ self.palm_of(sample)
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
-        """Take both hands as they are for the reference; see `BoundMethod.start`."""
-        return self.map_type(self, sample, robot)
-
-
-def palm_of(sample: HumanPose, human: Hand) -> Array:
-    """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
-    assert sample.wrist is not None
-    return sample.wrist @ human.wrist_to_palm
+        super().__init__(choices.alignment, human, robot)
 
 
 def point_indices(human: Hand) -> dict[str, int]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import InvalidInputError, expect
+from handmap_core.mapping.estimation import about
 from handmap_core.se3 import (
     Array,
     affine,
@@ -17,7 +18,6 @@ from handmap_core.se3 import (
     mirror_sign,
     quat_wxyz_from_rotation,
 )
-from handmap_qp.mapping.estimation import about
 
 
 class Decomposition(NamedTuple):

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.errors import InvalidOptionsError
+from handmap_core.mapping.homogeneous import HomogeneousMap
+from handmap_core.mapping.teleoperation import TeleoperationMap
 from handmap_core.se3 import (
     Array,
     affine,
@@ -22,8 +24,8 @@ from handmap_core.se3 import (
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import HumanPose, RobotPosture, Targets
 from handmap_qp.mapping.method import BoundMethod, TargetMap
-from handmap_qp.mapping.methods.homogeneous import Homogeneous, HomogeneousMap
-from handmap_qp.mapping.methods.teleoperation import Teleoperation, TeleoperationMap
+from handmap_qp.mapping.methods.homogeneous import Homogeneous
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from .decomposition import polar
 from .estimation import estimate
 from .teleoperation_targets import PublishedTeleoperation

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from handmap_core.mapping.teleoperation import TeleoperationMap
 from handmap_core.models import PalmModel, TeleoperationModel
 from handmap_core.se3 import (
     Array,
@@ -18,7 +19,6 @@ from handmap_core.se3 import (
     transform_points,
 )
 from handmap_qp.mapping import HumanPose, MotionEstimate, Targets
-from handmap_qp.mapping.methods.teleoperation import TeleoperationMap
 from .estimation import estimate
 
 

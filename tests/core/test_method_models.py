@@ -9,15 +9,15 @@ import pytest
 from msgspec import structs
 
 from handmap_core.core import core
+from handmap_core.mapping.homogeneous import HomogeneousMap
+from handmap_core.mapping.teleoperation import TeleoperationMap
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.hands import HumanLengths, core_tree
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
 from handmap_qp.mapping.methods.teleoperation import (
     BoundTeleoperation,
     Teleoperation,
-    TeleoperationMap,
 )
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.models import GuardModel, LandmarkReaderModel, PairsModel, encode

@@ -20,14 +20,14 @@ from cpp_programs import compiled
 
 from handmap_core.ik.limits import box_limits
 from handmap_core.ik.options import ik_model
+from handmap_core.mapping.homogeneous import HomogeneousMap
+from handmap_core.mapping.teleoperation import TeleoperationMap
 from handmap_qp.hands import Hand, load_hand
 from handmap_qp.hands.compiled import hand_model
 from handmap_qp.human import landmarks_at_rest
 from handmap_qp.ik import IkOptions
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.mapping import HandMapper
-from handmap_qp.mapping.methods.homogeneous import HomogeneousMap
-from handmap_qp.mapping.methods.teleoperation import TeleoperationMap
 from handmap_qp.models import GuardModel, Model, encode
 
 PROGRAM = Path(__file__).with_suffix(".cpp")

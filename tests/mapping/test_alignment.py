@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from handmap_core.mapping.alignment import rotation_of
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.client.messages import SETUP
-from handmap_qp.mapping.alignment import rotation_of
 from handmap_qp.mapping.presets import (
     PRESETS,
     get_preset,

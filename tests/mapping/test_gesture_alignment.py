@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reach_cases import WAYS, reaching_hand
 
+from handmap_core.mapping.alignment import alignment_from_gestures, rotation_of
 from handmap_qp import InvalidInputError, cli
-from handmap_qp.mapping.alignment import alignment_from_gestures, rotation_of
 from handmap_qp.trackers.formats.archive import NpzFormat
 
 

@@ -14,16 +14,16 @@ import pytest
 from reach_cases import HUMAN, reaching_hand
 
 from handmap_core.human.recording import axis_direction, mirrored, upright_axes
+from handmap_core.mapping.alignment import (
+    rotation_of,
+    rotation_onto,
+)
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.apps.arguments import MappingArguments, MethodFlags
 from handmap_qp.apps.offline.comparison import in_world_of
 from handmap_qp.apps.service.opening import read_choice
 from handmap_qp.client.messages import PROTOCOL, Open
-from handmap_qp.mapping.alignment import (
-    find_alignment,
-    rotation_of,
-    rotation_onto,
-)
+from handmap_qp.mapping import find_alignment
 from handmap_qp.mapping.presets import PRESETS, get_preset, preset_choice
 from handmap_qp.trackers.formats.archive import NpzFormat
 from handmap_qp.trackers.layouts import LAYOUTS, tables

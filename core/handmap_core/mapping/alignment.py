@@ -5,10 +5,10 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_core.errors import expect
+from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.hands import Hand
 from handmap_core.human import upright_axes
-from handmap_core.options import number
+from handmap_core.options import Options, number
 from handmap_core.se3 import (
     FARTHEST,
     Array,
@@ -35,6 +35,38 @@ ROTATIONS = {
     "y-up": frozen(upright_axes("+y up, -z forward")),
 }
 """Rotations that have a name."""
+
+
+class AlignedOptions(Options, frozen=True, kw_only=True):
+    """Base of the options of methods whose robot moves as the human does in the world.
+
+    Attributes:
+        alignment: Rotation from the human's world axes to the robot's. world: they agree (the
+            paper). y-up: the tracker's +y is up and its -z is forward, as of headsets; the robot's
+            are +z and +x. palm: lay the human's palm axes at the reference onto the robot's. Or a
+            rotation matrix.
+    """
+
+    alignment: Alignment = "world"
+
+    def check(self) -> None:
+        """Reject a matrix that is no rotation; see `Options.check`."""
+        if isinstance(self.alignment, str):
+            return
+        rotation = np.array(self.alignment)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            raise InvalidOptionsError(
+                option="alignment",
+                expected=f"{', '.join(ROTATIONS)}, palm or a rotation of shape (3, 3)",
+                value=self.alignment,
+            )
+        if np.linalg.det(rotation) < 0.0:
+            raise InvalidOptionsError(
+                "the matrix mirrors",
+                option="alignment",
+                value=self.alignment,
+                advice="map a left hand with the URDF of a left hand",
+            )
 
 
 def rotation_onto(robot: Hand, upright: str) -> Array | None:

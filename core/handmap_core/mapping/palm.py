@@ -1,9 +1,10 @@
-"""`PalmMap`: a robot's palm that follows the human's."""
+"""Methods whose palm follows the human's: `PalmMethod`, `PalmMap`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import Protocol
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -12,28 +13,65 @@ from handmap_core.hands import Hand
 from handmap_core.models import PalmModel, encode
 from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import Alignment, rotation_of
-from .targets import AnyPose, HumanPose, RobotPosture, without_core
+from .targets import AnyPose, HumanPose, RobotPosture, TargetMap, without_core
 
 _ORIGIN = frozen(np.zeros(3))
 
 
-class PalmMethod(Protocol):
-    """What a `PalmMap` needs to know of a method for two hands."""
+AnyHand = TypeVar("AnyHand", bound=Hand)
 
-    @property
-    def alignment(self) -> Alignment:
-        """From the human's world to the robot's."""
 
-    @property
-    def wrist_to_palm(self) -> Array:
-        """Palm in the human's wrist, shape (4, 4)."""
+class PalmMethod(Generic[AnyHand]):
+    """Base of methods for two hands whose wrist target is that of a `PalmMap`.
 
-    @property
-    def robot(self) -> Hand:
-        """The hand that follows."""
+    See `BoundMethod`.
+
+    Args:
+        alignment: From the human's world to the robot's.
+        human: The hand that leads.
+        robot: The hand that follows.
+        wrist_to_palm: Palm in the human's wrist, shape (4, 4); the human's own if omitted.
+    """
+
+    needs_wrist = "the pose of the palm"
+    reference_needs_wrist = ""
+    renews_reference = False
+    map_type: Callable[..., TargetMap]
+    """Its map, made of it and both hands at the reference; by `start`."""
+
+    def __init__(
+        self,
+        alignment: Alignment,
+        human: AnyHand,
+        robot: AnyHand,
+        wrist_to_palm: Array | None = None,
+    ) -> None:
+        self.alignment = alignment
+        own = human.wrist_to_palm
+        self.wrist_to_palm = own if wrist_to_palm is None else wrist_to_palm
+        self.human = human
+        self.robot = robot
 
     def palm_of(self, sample: AnyPose) -> Array:
         """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
+        assert sample.wrist is not None
+        return sample.wrist @ self.wrist_to_palm
+
+    def start_palm(self, sample: HumanPose) -> Array:
+        """Return the human's palm in the robot's world; the origin where `palm` aligns them."""
+        if self.alignment == "palm":
+            return np.eye(4)
+        return affine(rotation_of(self.alignment)) @ self.palm_of(sample)
+
+    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
+        """Take both hands as they are for the reference; see `BoundMethod.start`."""
+        return self.map_type(self, sample, robot)
+
+
+def palm_of(sample: HumanPose, human: Hand) -> Array:
+    """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
+    assert sample.wrist is not None
+    return sample.wrist @ human.wrist_to_palm
 
 
 class PalmMap:
@@ -71,7 +109,7 @@ class PalmMap:
 
     def __init__(
         self,
-        method: PalmMethod,
+        method: PalmMethod[AnyHand],
         sample: HumanPose,
         posture: RobotPosture,
         human_anchor: Array = _ORIGIN,

@@ -13,11 +13,11 @@ import msgspec
 from handmap_core.hands.pad import Pad
 from handmap_core.ik.options import IkOptions
 from handmap_core.ik.tasks import PointDistances
+from handmap_core.mapping.estimation import MotionEstimator
 from handmap_core.stream.rejoin import RejoinKind
 from handmap_core.stream.smoothing import Smoothing
 from handmap_qp import __version__, mapping
 from handmap_qp.errors import HandError
-from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
 from handmap_qp.models import DistancesModel, EstimatorModel, TeleoperationModel

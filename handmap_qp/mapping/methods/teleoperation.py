@@ -6,30 +6,24 @@ robot in full, scaled by the ratio of reaches. Away from a pinch, fingers are tu
 human's do. Distance rows in the same QP show what positions cannot: how far each finger is
 extended, and that thumb and finger touch. Contact rows keep links apart.
 
-This module prepares the formulas for two hands and a reference. The compiled core computes them for
-every sample (`handmap/targets.hpp`); `handmap_qp.reference` has them to read, and to compare with.
+This module prepares the formulas for two hands. `handmap_core.mapping.teleoperation` counts them
+from a reference, and the compiled core computes them for every sample (`handmap/targets.hpp`);
+`handmap_qp.reference` has them to read, and to compare with.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.models import TeleoperationModel, encode
+from handmap_core.mapping import teleoperation
+from handmap_core.mapping.teleoperation import PalmFollowing
+from handmap_core.models import TeleoperationModel
 from handmap_core.options import Share, number
-from handmap_core.se3 import (
-    Array,
-    affine,
-    inverse_pose,
-    lengths,
-    mirror_sign,
-    transform_points,
-)
+from handmap_core.se3 import Array, affine, lengths
 from handmap_qp.hands import (
     CONTACT_GAP,
     FINGERS,
@@ -45,14 +39,8 @@ from handmap_qp.ik import IkOptions
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
-    CoreMap,
-    HumanPose,
     MotionEstimator,
-    PalmMap,
-    PalmMethod,
     Preset,
-    RobotPosture,
-    Targets,
 )
 from handmap_qp.mapping.hand_pair import (
     finger_landmarks,
@@ -82,75 +70,12 @@ _CONTACT_MOST = 0.005
 _CONTACT_MARGIN = 0.0005
 
 
-_KNOWN = "palm", "gaps", "pinching", "extensions"
-"""Results that targets are made with: the human's palm, (4, 4); gaps from the thumb's tip to each
-finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
-
-
-class TeleoperationMap(CoreMap, PalmMap):
-    """From samples to targets; see `TargetMap`. `model` has what they are computed with."""
-
-    def __init__(
-        self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
-    ) -> None:
-        anchors = method.human_anchor, method.robot_anchor
-        super().__init__(method, sample, robot, *anchors, method.choices.scale)
-        self.method = method
-        self.model = method.model
-        self.rest = method.model.rest
-        self.palm_before = method.palm_of(sample)
-
-    def make_core(self) -> core.TargetMap:
-        """Return this map as the core has it."""
-        return core.TeleoperationMap(self.method.model_bytes, encode(self.palm_model()))
-
-    def targets_of(self, parts: list[Array], is_clamped: bool = False) -> Targets:
-        """Return the targets whose arrays were computed; see `CoreMap.targets_of`.
-
-        T is estimated in palm axes, from the human's rest posture. In the world, that posture lies
-        at the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
-        """
-        del is_clamped
-        points, wrist, aims, weights, margins, *rest = parts
-        estimate = self.method.estimator.estimate_of(*rest[:3])
-        known = dict(zip(_KNOWN, rest[3:], strict=True))
-        palm = known["palm"]
-        rigid = palm @ inverse_pose(self.palm_before)
-        deformation = palm @ estimate.motion @ inverse_pose(palm)
-        # The smallest one is negative where T mirrors.
-        stretches = np.linalg.svd(estimate.linear, compute_uv=False)
-        stretches[2] *= mirror_sign(estimate.linear)
-        found = {
-            "motion": deformation @ rigid,
-            "motion_rigid": rigid,
-            "motion_deformation": deformation,
-            "stretches": stretches,
-            "pivot_image": transform_points(palm, estimate.centroid_after),
-            "residual_norms": estimate.residual_norms,
-        }
-        return Targets(
-            points,
-            wrist,
-            found | known,
-            (self.method.distances.aimed_at(aims, weights),),
-            margins if self.method.contacts else None,
-            regularisation=self.model.regularisation,
-        )
-
-
-class BoundTeleoperation(PalmMethod):
+class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
     """The method for two hands; see `BoundMethod`."""
-
-    map_type = TeleoperationMap
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
         self.choices = choices
-        self.pair = hand_pair(human, robot)
-        pair = self.pair
-        super().__init__(choices, human, pair.robot)
-        self.wrist_to_palm = human.wrist_to_palm @ affine(pair.palms.turn.T)
-        self.human_anchor = pair.human_knuckles
-        self.robot_anchor = pair.robot_knuckles
+        self.pair = pair = hand_pair(human, robot)
         self.contacts = self._contacts() if choices.avoids_contact else None
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
@@ -158,8 +83,21 @@ class BoundTeleoperation(PalmMethod):
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = pair.measured.pinching
-        self.distances = pair.measured.distances
-        self.model = self._make_model()
+        super().__init__(
+            human,
+            pair.robot,
+            PalmFollowing(
+                alignment=choices.alignment,
+                scale=choices.scale,
+                wrist_to_palm=human.wrist_to_palm @ affine(pair.palms.turn.T),
+                human_anchor=pair.human_knuckles,
+                robot_anchor=pair.robot_knuckles,
+            ),
+            self._make_model(),
+            self.estimator,
+            pair.measured.distances,
+            keeps_apart=self.contacts is not None,
+        )
 
     def _contacts(self) -> ShapePairs:
         """Return the pairs that are kept apart, or may press on each other."""
@@ -174,12 +112,6 @@ class BoundTeleoperation(PalmMethod):
             choices.stiffness,
             choices.sliding_stiffness,
         )
-
-    def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm, moved so that the knuckles of both hands have one centre."""
-        palm = super().start_palm(sample)
-        palm[:3, 3] += palm[:3, :3] @ (self.human_anchor - self.robot_anchor)
-        return palm
 
     def _make_model(self) -> TeleoperationModel:
         """Return what targets are computed with, whatever the reference."""
@@ -216,13 +148,8 @@ class BoundTeleoperation(PalmMethod):
             contact_slope=(1.0 - likeness) * _CONTACT_SLOPE,
             contact_from=_CONTACT_FROM,
             contact_most=_CONTACT_MOST,
-            distances=self.distances.model(),
+            distances=pair.measured.distances.model(),
         )
-
-    @cached_property
-    def model_bytes(self) -> bytes:
-        """The bytes of the model."""
-        return encode(self.model)
 
     def _directions(self) -> dict[str, Array]:
         """Return how the person's vectors from the knuckles become the robot's, for each point.

@@ -6,6 +6,8 @@ rows of `A` share one (n, 3) system, which depends only on the points before the
 products, which the compiled core computes. With `ridge = 0` the solution is exactly the paper's.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from handmap_core.errors import DegeneratePointsError
@@ -56,7 +58,7 @@ class MotionEstimate(ArrayStruct, frozen=True):
     def residual_vectors(self) -> Array:
         """`y_k - T x_k` for every point [m], shape (..., n, 3)."""
         after = self.points_after - self.centroid_after[..., None, :]
-        return after - self.centred_before @ self.linear.mT
+        return after - self.centred_before @ self.linear.swapaxes(-1, -2)
 
     @property
     def residual_norms(self) -> Array:
@@ -89,6 +91,7 @@ class MotionEstimator:
         centred: Points relative to their centroid [m], shape (n, 3).
         gain: Times a sample's centred points, it gives A^T without the prior, shape (3, n).
         prior_gain: Behind the prior rotation, what it adds to A, shape (3, 3).
+        singular_values: As of `MotionEstimate` [m], shape (3,).
 
     Raises:
         DegeneratePointsError: If the points cannot determine T: with `ridge = 0` unless four or
@@ -117,7 +120,7 @@ class MotionEstimator:
         left, values, right = np.linalg.svd(
             self.centred * roots[:, None], full_matrices=False
         )
-        self._singular_values = frozen(np.append(values, np.zeros(3 - len(values))))
+        self.singular_values = frozen(np.append(values, np.zeros(3 - len(values))))
         floor = max(
             _RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max()
         )
@@ -131,6 +134,24 @@ class MotionEstimator:
         self.gain = right.T @ (roots[:, None] * left * gains).T
         self.prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
 
+    @classmethod
+    def of_model(cls, model: EstimatorModel, singular_values: Array) -> MotionEstimator:
+        """Return the estimator that a model was made of.
+
+        Args:
+            model: As of `model()`.
+            singular_values: The estimator's own.
+        """
+        estimator = object.__new__(cls)
+        estimator.shares = model.shares
+        estimator.ridge = model.ridge
+        estimator.centroid = model.centroid
+        estimator.centred = model.centred
+        estimator.gain = model.gain
+        estimator.prior_gain = model.prior_gain
+        estimator.singular_values = singular_values
+        return estimator
+
     def model(self) -> EstimatorModel:
         """Return what the core estimates by."""
         return EstimatorModel(
@@ -143,18 +164,18 @@ class MotionEstimator:
         )
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
-        _, middle, smallest = self._singular_values
+        _, middle, smallest = self.singular_values
         if self.ridge == 0.0 and not smallest > floor:
             raise DegeneratePointsError(
                 "ridge = 0 needs four or more reference points off a plane; "
                 "add points or give ridge > 0",
-                singular_values=self._singular_values,
+                singular_values=self.singular_values,
             )
         if not has_prior and not middle > floor:
             raise DegeneratePointsError(
                 "the reference points lie on a line, so their rotation is unknown; "
                 "add points or give a prior rotation",
-                singular_values=self._singular_values,
+                singular_values=self.singular_values,
             )
 
     def estimate_of(
@@ -167,7 +188,7 @@ class MotionEstimator:
             centroid,
             self.centred,
             points_after,
-            self._singular_values,
+            self.singular_values,
         )
 
 
