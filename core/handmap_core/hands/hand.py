@@ -165,6 +165,10 @@ class Hand(Protocol):
         """Which joints move the wrist, shape (n,)."""
 
     @property
+    def has_floating_base(self) -> bool:
+        """Whether a robot walks or drives."""
+
+    @property
     def has_moving_wrist(self) -> bool:
         """Whether free coordinates or joints of an arm move the wrist."""
 

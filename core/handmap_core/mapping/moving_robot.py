@@ -13,7 +13,7 @@ from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.errors import expect
-from handmap_core.hands import Hand
+from handmap_core.hands import Configuration, Hand
 from handmap_core.ik import IkOptions, IkResult, Motion, Task, When
 from handmap_core.ik.gate import IkGate
 from handmap_core.se3 import Array
@@ -31,8 +31,16 @@ class Solver(Protocol):
     """The QP that moves a robot, and the gate that knows how it moves; see `PointIk`."""
 
     @property
+    def hand(self) -> Hand:
+        """The robot as one hand."""
+
+    @property
     def gate(self) -> IkGate:
         """Admits the displacements."""
+
+    @property
+    def configuration(self) -> Configuration:
+        """The robot's present posture."""
 
     @property
     def core(self) -> _core.Ik:
