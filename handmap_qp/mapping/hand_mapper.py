@@ -149,7 +149,7 @@ class HandMapper(hand_mapper.HandMapper[TargetSource, PointIk]):
         if solver:
             robot.replace_solver(solver)
         if tasks is not None:
-            source.tasks = tuple(tasks)
+            self.set_tasks(tasks)
         self.core = None
 
 

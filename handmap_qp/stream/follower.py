@@ -1,31 +1,20 @@
 """`Follower`: lets a mapper follow the samples of a tracker that make sense.
 
 The sessions of the service, `handmap retarget` and `handmap view` all follow in this way.
+`handmap_core.stream.follower` follows; here its guard knows the orders of all layouts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from time import thread_time
-
-from msgspec import structs
-
-from handmap_core.core import core
-from handmap_core.mapping.exclusive import exclusively
-from handmap_core.stream.hand_follower import HandFollower
+from handmap_core.stream import follower
+from handmap_core.stream.follower import map_with as map_with
 from handmap_core.stream.rejoin import RejoinKind
 from handmap_core.stream.smoothing import Smoothing
-from handmap_core.stream.step_table import StepTable
-from handmap_qp.human import HumanSample, Recording
-from handmap_qp.ik import PointIk, Task, When
-from handmap_qp.mapping import HandMapper, MapStep, RobotHand, TargetSource
+from handmap_qp.mapping import HandMapper
 from .guard import StreamGuard
 
-_RUN = 1000  # samples of a recording that the core maps before progress is told
 
-
-class Follower(HandFollower[MapStep]):
+class Follower(follower.Follower[HandMapper]):
     """Lets a mapper follow the samples of a tracker.
 
     A new reference of the mapper (`HandMapper.engage`, `reset`) ends a return and the smoothing.
@@ -54,110 +43,4 @@ class Follower(HandFollower[MapStep]):
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
         guard = StreamGuard(mapper.human)
-        super().__init__(mapper, guard, MapStep, rejoin=rejoin, smoothing=smoothing)
-        self.mapper = mapper
-
-    @exclusively
-    def map_samples(
-        self,
-        samples: Recording,
-        progress: Callable[[int], None] | None = None,
-    ) -> StepTable:
-        """Map the samples of a recording, as `map_sample` one by one; return all numbers.
-
-        The compiled core maps those that simply follow the ones before by itself, without the
-        interpreter's lock, so that threads map recordings side by side.
-
-        Args:
-            samples: The samples, as of `sample_columns`.
-            progress: Called with the number of samples done.
-
-        Raises:
-            MapperBusyError: If another thread works on the mapper. While this one does, its other
-                calls raise that in other threads.
-        """
-        self._guard.check_side(samples, Recording)
-        count = len(samples)
-        table = StepTable(self._source.robot, count)
-        columns = core.Samples(
-            samples.time,
-            samples.landmarks,
-            samples.valid,
-            samples.confidence,
-            samples.wrist,
-        )
-        i = 0
-        while i < count:
-            # That about a sample which the core has judged, and leaves to the return here.
-            verdict = None
-            in_core = self.mapper.core if self._is_plain else None
-            origin = self._origin
-            if in_core and origin is not None:
-                i, numbers, seen = in_core.run(
-                    self._guard.core,
-                    self._smoother.core,
-                    self._source.landmarks.core,
-                    origin,
-                    columns,
-                    i,
-                    min(count, i + _RUN),
-                    table.rows,
-                )
-                verdict = numbers and self._guard.verdict_of(numbers)
-                if seen:
-                    self._return = structs.replace(self._return, seen=seen)
-            if i < count:
-                started = thread_time()
-                sample = samples.sample(i)
-                verdict = verdict or self._guard.check(sample)
-                step = self._judged(sample, verdict, None)
-                table.write(i, step, thread_time() - started)
-                i += 1
-            if progress:
-                progress(i)
-        return table
-
-
-@contextmanager
-def further_terms(
-    mappers: Sequence[HandMapper | RobotHand[TargetSource, PointIk]],
-    terms: Sequence[Sequence[Task]],
-) -> Iterator[None]:
-    """Give mappers further terms of the QP's cost for a while.
-
-    Args:
-        mappers: The mappers.
-        terms: The terms of each. A mapper without any is left as it is.
-    """
-    pairs = zip(mappers, terms, strict=True)
-    changed = [(mapper, mapper.source.tasks, added) for mapper, added in pairs if added]
-    for mapper, tasks, added in changed:
-        mapper.configure(tasks=(*tasks, *added))
-    try:
-        yield
-    finally:
-        for mapper, tasks, _ in changed:
-            mapper.configure(tasks=tasks)
-
-
-def map_with(
-    follower: Follower,
-    terms: Sequence[Task],
-    sample: HumanSample,
-    *,
-    dt: When | None = None,
-    arrival: float | None = None,
-) -> MapStep:
-    """Map one sample with further terms of the QP's cost, which no other sample has.
-
-    Args:
-        follower: Follows the samples.
-        terms: The terms.
-        sample: The sample.
-        dt: As of `Follower.map_sample`.
-        arrival: Likewise.
-    """
-    if not terms:
-        return follower.map_sample(sample, dt=dt, arrival=arrival)
-    with further_terms([follower.mapper], [terms]):
-        return follower.map_sample(sample, dt=dt, arrival=arrival)
+        super().__init__(mapper, guard, rejoin=rejoin, smoothing=smoothing)

@@ -33,6 +33,7 @@ from handmap_core.se3 import (
     transform_points,
     unit,
 )
+from handmap_core.stream.hand_grip import GripOptions
 from handmap_qp.hands import (
     FINGERS,
     Configuration,
@@ -56,7 +57,6 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from .follower import Follower, map_with
-from .hand_grip import GripOptions
 
 # Weights of a pad's place, and of a link that is nearer to the object than its clearance [1/m, m].
 # Links that are this near feel the row, so that they stay where it ends; and what moves pads and

@@ -17,6 +17,7 @@ from handmap_core.human.recording import sample_columns
 from handmap_core.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_core.mapping.step import MapStep
 from handmap_core.stream.closing_pads import ClosingPads, PadsState
+from handmap_core.stream.hand_grip import Gathering, GripOptions, _Grip
 from handmap_core.stream.object_place import ObjectPlace
 from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
@@ -27,7 +28,6 @@ from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points, unit
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
-from handmap_qp.stream.hand_grip import Gathering, GripOptions, _Grip
 
 
 @pytest.fixture(scope="module")

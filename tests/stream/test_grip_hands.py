@@ -20,12 +20,12 @@ from grip_cases import (
 
 from handmap_core.human.sample import HumanSample
 from handmap_core.mapping.robot_step import RobotStep
+from handmap_core.stream.hand_grip import GripOptions
 from handmap_qp import load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.grip import RobotGripFollower
-from handmap_qp.stream.hand_grip import GripOptions
 from handmap_qp.stream.robot_follower import RobotFollower
 
 

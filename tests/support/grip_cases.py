@@ -12,13 +12,13 @@ from picks import made_pick
 from handmap_core.human.recording import sample_columns
 from handmap_core.human.sample import HumanSample
 from handmap_core.mapping.step import MapStep
+from handmap_core.stream.hand_grip import GripOptions
 from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.hands import Side
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
-from handmap_qp.stream.hand_grip import GripOptions
 
 HUMAN = load_hand("human", points="landmarks")
 WIDTH = 0.03

@@ -12,6 +12,7 @@ from .contact_yield import (
     NEAR,
     ContactYield,
 )
+from .grasp import GraspFinger
 from .hand import (
     Hand,
     Point,
@@ -54,6 +55,7 @@ __all__ = [
     "Configuration",
     "ContactYield",
     "Frame",
+    "GraspFinger",
     "Hand",
     "KinematicModel",
     "Names",

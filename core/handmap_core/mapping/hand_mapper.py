@@ -9,6 +9,7 @@ robot follows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Generic, TypeVar
 
@@ -84,7 +85,7 @@ class HandMapper(Mapper[core.HandMapper, AnySolver], Generic[Source, AnySolver])
 
     @property
     def tasks(self) -> tuple[Task, ...]:
-        """Further terms of the QP's cost; `configure` changes them."""
+        """Further terms of the QP's cost; `set_tasks` changes them."""
         return self.source.tasks
 
     @property
@@ -363,6 +364,12 @@ class HandMapper(Mapper[core.HandMapper, AnySolver], Generic[Source, AnySolver])
         self.engage()
         if reference is not None:
             self.source.take(reference)
+
+    @exclusively
+    def set_tasks(self, tasks: Sequence[Task]) -> None:
+        """Change the further terms of the QP's cost."""
+        self.source.tasks = tuple(tasks)
+        self.core = None
 
     @exclusively
     def engage(self) -> None:

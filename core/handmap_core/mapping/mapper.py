@@ -50,6 +50,11 @@ class Mapper(Generic[Core, AnySolver]):
         return self.moving_robot.placement
 
     @property
+    def time(self) -> float:
+        """Instant of the last command, on the robot's clock [s]."""
+        return self.moving_robot.time
+
+    @property
     @exclusively
     def motion(self) -> Motion:
         """How the robot moves. Set it where something else has moved the robot.

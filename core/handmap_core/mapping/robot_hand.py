@@ -191,7 +191,7 @@ class RobotHand(Generic[Source, AnySolver]):
     # -- between samples
 
     @exclusively
-    def configure(self, *, tasks: Sequence[Task]) -> None:
+    def set_tasks(self, tasks: Sequence[Task]) -> None:
         """Change the further terms of the QP's cost."""
         self.source.tasks = tuple(tasks)
         self.core = None

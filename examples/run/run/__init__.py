@@ -26,9 +26,9 @@ from handmap_core.errors import (
     InvalidOptionsError,
 )
 from handmap_core.human.sample import HumanSample
+from handmap_core.stream.hand_grip import GripOptions
 from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.hand_grip import GripOptions
 from .saved import load, load_robot
 
 __all__ = [

@@ -11,13 +11,13 @@ from handmap_core.human.recording import Recording
 from handmap_core.human.sample import HumanSample
 from handmap_core.ik.motion import When
 from handmap_core.mapping.step import MapStep
+from handmap_core.stream.hand_grip import GripOptions, can_grip
 from handmap_core.stream.object_place import PLACE_DEVIATION
 from handmap_core.stream.step_table import StepTable
 from handmap_qp.errors import expect
 from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
-from handmap_qp.stream.hand_grip import GripOptions, can_grip
 
 
 class GrippingFollower:

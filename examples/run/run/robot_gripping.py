@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from handmap_core.human.sample import HumanSample
 from handmap_core.ik.motion import When
 from handmap_core.mapping.robot_step import RobotStep
+from handmap_core.stream.hand_grip import GripOptions, can_grip
 from handmap_qp.hands import Side
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.grip import RobotGripFollower
-from handmap_qp.stream.hand_grip import GripOptions, can_grip
 from handmap_qp.stream.robot_follower import RobotFollower
 from .gripping import is_asked
 

@@ -14,6 +14,7 @@ from handmap_core.hands.pad import Pad
 from handmap_core.ik.options import IkOptions
 from handmap_core.ik.tasks import PointDistances
 from handmap_core.mapping.estimation import MotionEstimator
+from handmap_core.stream.hand_grip import GripOptions
 from handmap_core.stream.rejoin import RejoinKind
 from handmap_core.stream.smoothing import Smoothing
 from handmap_qp import __version__, mapping
@@ -22,7 +23,6 @@ from handmap_qp.mapping.hand_mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
 from handmap_qp.models import DistancesModel, EstimatorModel, TeleoperationModel
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.hand_grip import GripOptions
 from .form import HAND, KIND, ROBOT, File, decode
 from .gripping import GrippingFollower
 from .hands import KINDS, Record

@@ -15,31 +15,27 @@ the place across that line stretches the fingers, so that other links push the o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from handmap_core.options import Options, Positive
-from handmap_core.se3 import Array, lengths, unit
-from handmap_core.stream.closing_pads import ClosingPads, FingerPads, PadsState
-from handmap_core.stream.object_place import ObjectPlace
-from handmap_qp.hands import (
+from handmap_core.hands import (
     SLIDING_STIFFNESS,
     STIFFNESS,
-    THUMB,
+    GraspFinger,
     Hand,
-    Names,
     PadPair,
 )
-from handmap_qp.ik import AttachedPoints, JointPositions, Task
-from handmap_qp.mapping import (
-    PRESETS,
-    HandMapper,
-    MapStep,
-    TargetSource,
-    robot_fingers,
-)
-from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
+from handmap_core.ik import AttachedPoints, JointPositions, Task
+from handmap_core.mapping import MapStep
+from handmap_core.mapping.bound_method import BoundMethod
+from handmap_core.mapping.target_source import TargetSource
+from handmap_core.mapping.teleoperation import BoundTeleoperation
+from handmap_core.options import Options, Positive
+from handmap_core.se3 import Array, lengths, unit
+from .closing_pads import ClosingPads, FingerPads, PadsState
+from .object_place import ObjectPlace
 
 # Weights of a held joint, which leave other terms little, of one that turns [1/rad] and of one that
 # slides [1/m]: both are as strict where a pad is 50 mm from its joint.
@@ -134,31 +130,24 @@ class _Grip(NamedTuple):
     opening: float = 0.0  # share of the way out, from 0 to 1
 
 
-def can_grip(source: TargetSource | HandMapper) -> bool:
-    """Return whether a `HandGrip` can hold what the robot hand of a source or a mapper meets.
+AnySource = TargetSource[Hand, BoundMethod]
+
+
+def has_pinches(source: AnySource) -> bool:
+    """Return whether the method of a source has pinches, which a grip begins with."""
+    return isinstance(source.bound, BoundTeleoperation)
+
+
+def can_grip(source: AnySource, fingers: Sequence[GraspFinger]) -> bool:
+    """Return whether a `HandGrip` can hold what the robot hand of a source meets.
 
     It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
+
+    Args:
+        source: Makes the targets of the hand.
+        fingers: What grips; empty for a hand that has no thumb and no jaws.
     """
-    return _has_pinches(source) and has_grasp(source.robot)
-
-
-def gripping_presets() -> Names:
-    """Return the names of the presets by which a `HandGrip` can hold things."""
-    return tuple(
-        name
-        for name, preset in PRESETS.items()
-        if isinstance(preset.method, Teleoperation)
-    )
-
-
-def has_grasp(robot: Hand) -> bool:
-    """Return whether a robot hand has a thumb and a finger, or two jaws."""
-    names = robot_fingers(robot).names
-    return THUMB in names and len(names) > 1
-
-
-def _has_pinches(source: TargetSource | HandMapper) -> bool:
-    return isinstance(source.bound, BoundTeleoperation)
+    return has_pinches(source) and len(fingers) > 1
 
 
 class HandGrip:
@@ -166,6 +155,7 @@ class HandGrip:
 
     Args:
         source: Makes the targets of the hand; see `can_grip`.
+        fingers: What grips, the thumb first.
         options: How what is gripped is held.
 
     Attributes:
@@ -175,23 +165,23 @@ class HandGrip:
         place: Where it was seen last; None before that.
     """
 
-    def __init__(self, source: TargetSource, options: GripOptions) -> None:
+    def __init__(
+        self, source: AnySource, fingers: Sequence[GraspFinger], options: GripOptions
+    ) -> None:
         self.options = options
         self._source = source
         self._hand = hand = source.robot
-        fingers = robot_fingers(hand)
-        pads = [fingers.pads[name] for name in fingers.names]
-        used = [fingers.used[name] for name in fingers.names]
+        thumb, *others = fingers
         self._pairs = [
             FingerPads(
-                AttachedPoints(hand, [pads[0].place, pad.place]),
-                PadPair(pads[0], pad),
-                np.union1d(used[0].columns, finger.columns),
+                AttachedPoints(hand, [thumb.pad.place, finger.pad.place]),
+                PadPair(thumb.pad, finger.pad),
+                np.union1d(thumb.columns, finger.columns),
             )
-            for pad, finger in zip(pads[1:], used[1:], strict=True)
+            for finger in others
         ]
         self._slides = np.zeros(len(hand.joint_names), dtype=bool)
-        for finger in used:
+        for finger in fingers:
             self._slides[finger.columns] |= finger.is_jaw
         self._placed = hand.configuration()
         self._has_pinches = True
@@ -226,7 +216,7 @@ class HandGrip:
     def prepare(self) -> None:
         """Let go where the source has another reference, or a method without pinches by now."""
         source = self._source
-        self._has_pinches = _has_pinches(source)
+        self._has_pinches = has_pinches(source)
         if source.reference is not self._reference or not self._has_pinches:
             self.let_go()
 
