@@ -5,21 +5,20 @@ It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`
 
 from __future__ import annotations
 
-from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_core.errors import InvalidInputError
-from handmap_core.hands import AttachedPoints
+from handmap_core.hands import PlacedHand
 from handmap_core.se3 import Array, frozen
 
 if TYPE_CHECKING:
     from .hand import Hand
 
 
-class PinocchioConfiguration:
+class PinocchioConfiguration(PlacedHand[pin.Data]):
     """One posture of a model, with its reference points; at first Pinocchio's neutral one.
 
     `place` and `displace` put it somewhere else.
@@ -37,14 +36,10 @@ class PinocchioConfiguration:
     """
 
     def __init__(self, hand: Hand) -> None:
-        self._hand = hand
+        super().__init__(hand)
         self.model = hand.model
-        self.spread = hand.spread
         self._wrists = [each.wrist_frame for each in hand.hands]
-        self._points = AttachedPoints.reference_points(hand)
         self.data = self.model.createData()
-        ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
-        self.parts = [*map(slice, [0, *ends], ends)]
         self.place(pin.neutral(self.model))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -55,11 +50,6 @@ class PinocchioConfiguration:
     def wrist(self) -> pin.SE3:
         """Wrist frame of the hand, or of the first one of a robot."""
         return self.wrists[0]
-
-    @property
-    def nv(self) -> int:
-        """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
-        return self.spread.shape[1]
 
     def place(self, q: Array) -> None:
         """Put the model at a configuration.
@@ -83,11 +73,6 @@ class PinocchioConfiguration:
     __setstate__ = place
 
     @property
-    def points(self) -> Array:
-        """Reference points in the world [m], shape (m, 3)."""
-        return frozen(self._points.positions(self))
-
-    @property
     def wrists(self) -> list[pin.SE3]:
         """Wrist frame of each hand."""
         return [*map(self._placed, self._wrists)]
@@ -108,14 +93,6 @@ class PinocchioConfiguration:
         """
         self.place(pin.integrate(self.model, start, self.spread.dot(displacement)))
 
-    def point_jacobian(self) -> Array:
-        """Jacobian of the points in the active coordinates, in world axes [m per unit].
-
-        Returns:
-            Jacobian, rows x, y, z of each point in turn, shape (3 m, k); a new array.
-        """
-        return self._points.jacobians(self).reshape(-1, self.nv)
-
     def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
         """Body Jacobian of a wrist in the active coordinates.
 
@@ -130,14 +107,3 @@ class PinocchioConfiguration:
         place = wrist.parentJoint, wrist.placement
         rows = pin.getFrameJacobian(self.model, self.data, *place, pin.LOCAL)
         return self.contracted(error_jacobian @ rows)
-
-    def contracted(self, jacobian: Array) -> Array:
-        """Take a Jacobian over the model's tangent space to the active coordinates.
-
-        Args:
-            jacobian: Shape (..., model.nv).
-
-        Returns:
-            Jacobian, shape (..., k).
-        """
-        return jacobian.dot(self.spread)

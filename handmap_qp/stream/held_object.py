@@ -38,6 +38,7 @@ from handmap_qp.hands import (
     FINGERS,
     Configuration,
     Hand,
+    PinocchioConfiguration,
     moved_by,
     read_collision_shapes,
 )
@@ -100,9 +101,9 @@ class _Touch(NamedTuple):
     shares: Array  # shares of the weight of each, shape (f,)
     share: float  # share of all weights
     give: Array  # how far joints give way to what pads press on [rad or m], shape (nv,)
-    placed: Configuration  # the hand where they give way
+    placed: PinocchioConfiguration  # the hand where they give way
 
-    def links(self, placed: Configuration) -> tuple[Array, Array]:
+    def links(self, placed: PinocchioConfiguration) -> tuple[Array, Array]:
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
         shapes, moved = _links(self.hand)
         found = distances_to(self.shape, self.pose, placed, shapes)
@@ -116,11 +117,11 @@ class _Touch(NamedTuple):
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return three rows a pad, and one a link; see `Task.linearise`."""
         self.placed.displace(hand.q, -self.give)
-        hand = self.placed
-        now = self.points.positions(hand)
+        placed = self.placed
+        now = self.points.positions(placed)
         weights = self.share * _PLACED * self.shares[:, None]
-        pads = weights[..., None] * self.points.jacobians(hand)
-        gaps, slopes = self.links(hand)
+        pads = weights[..., None] * self.points.jacobians(placed)
+        gaps, slopes = self.links(placed)
         near = np.clip((_AROUND - gaps) / _AROUND, 0.0, 1.0)[:, None]
         weight = self.share * _PUSHED * near
         inside = weight * np.minimum(gaps - _CLEAR, 0.0)[:, None]

@@ -11,11 +11,11 @@ from hypothesis import given
 from strategies import generators
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.hands import Configuration
+from handmap_qp.hands import PinocchioConfiguration
 
 HANDS = {name: load_hand(name) for name in ("three_finger", "human", "ur5_allegro")}
 every_hand = pytest.mark.parametrize("name", HANDS)
-JACOBIANS: dict[str, Callable[[Configuration], np.ndarray]] = {
+JACOBIANS: dict[str, Callable[[PinocchioConfiguration], np.ndarray]] = {
     "joints": lambda workspace: workspace.data.J,
     "points": lambda workspace: workspace.point_jacobian(),
     "wrist": lambda workspace: workspace.wrist_jacobian(np.eye(6)),
@@ -25,7 +25,7 @@ every_jacobian = pytest.mark.parametrize("jacobian", JACOBIANS.values(), ids=JAC
 
 @every_jacobian
 def test_jacobians_follow_every_placement(
-    jacobian: Callable[[Configuration], np.ndarray],
+    jacobian: Callable[[PinocchioConfiguration], np.ndarray],
 ) -> None:
     # On an arm, so that the wrist's Jacobian depends on the posture too.
     hand = HANDS["ur5_allegro"]

@@ -186,6 +186,7 @@ class _NoLimits(IkGate):
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()
+        assert isinstance(placed, PinocchioConfiguration)
         placed.displace(self.motion.q, wanted)
         dt, _, time = self.interval(when)
         self.motion = Motion(placed.q.copy(), wanted, dt, np.zeros(len(wanted)), time)

@@ -5,6 +5,7 @@ from .configuration import (
     Configuration,
     Frame,
     KinematicModel,
+    PlacedHand,
     Pose,
     moved_by,
 )
@@ -61,6 +62,7 @@ __all__ = [
     "Names",
     "Pad",
     "PadPair",
+    "PlacedHand",
     "Point",
     "Pose",
     "Side",

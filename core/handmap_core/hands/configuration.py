@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, Self
+from itertools import accumulate
+from typing import TYPE_CHECKING, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from handmap_core.se3 import Array, cross_matrices
+from handmap_core.se3 import Array, cross_matrices, frozen
 
 if TYPE_CHECKING:
     from .hand import Hand
@@ -76,12 +77,19 @@ class PlacedJoints(Protocol):
         """Velocity at the world's origin per velocity of the model, linear first, (6, nv)."""
 
 
-class Configuration(Protocol):
-    """One posture of a hand, with its reference points; at first a neutral one."""
+class PlacedModel(Protocol):
+    """A hand in one posture, as far as points that are fixed to its links need it."""
 
     @property
     def data(self) -> PlacedJoints:
         """Where the joints are, and how they move; not to be changed."""
+
+    def contracted(self, jacobian: Array) -> Array:
+        """Take a Jacobian, shape (..., model.nv), to the active coordinates, shape (..., k)."""
+
+
+class Configuration(PlacedModel, Protocol):
+    """One posture of a hand, with its reference points; at first a neutral one."""
 
     @property
     def q(self) -> Array:
@@ -110,17 +118,8 @@ class Configuration(Protocol):
     def parts(self) -> Sequence[slice]:
         """Where the points of each hand are among all."""
 
-    def displace(self, start: Array, displacement: Array) -> None:
-        """Go from a configuration by a displacement in the active coordinates, shape (k,)."""
-
-    def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
-        """Return `error_jacobian @ J_wrist` in the active coordinates, shape (6, k)."""
-
     def point_jacobian(self) -> Array:
         """Return the Jacobian of the points, rows x, y, z of each in turn, shape (3 m, k)."""
-
-    def contracted(self, jacobian: Array) -> Array:
-        """Take a Jacobian, shape (..., model.nv), to the active coordinates, shape (..., k)."""
 
 
 def moved_by(model: KinematicModel, joints: Sequence[int]) -> Array:
@@ -167,19 +166,75 @@ class AttachedPoints:
     def __len__(self) -> int:
         return len(self.joints)
 
-    def positions(self, hand: Configuration) -> Array:
+    def positions(self, hand: PlacedModel) -> Array:
         """Return the points in the world [m], shape (n, 3)."""
         placed = zip(self.joints, self.offsets, strict=True)
         points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
         return np.reshape(points, (-1, 3))
 
-    def jacobians(self, hand: Configuration) -> Array:
+    def jacobians(self, hand: PlacedModel) -> Array:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
         return hand.contracted(self.velocities(hand))
 
-    def velocities(self, hand: Configuration) -> Array:
+    def velocities(self, hand: PlacedModel) -> Array:
         """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
         linear, angular = hand.data.J.reshape(2, 3, -1)
         # The velocity at the world's origin plus w x p, which is -p x w, is that of the point p.
         turning = cross_matrices(self.positions(hand)) @ angular
         return (linear - turning) * self.moved
+
+
+Joints_co = TypeVar("Joints_co", bound=PlacedJoints, covariant=True)
+
+
+class PlacedHand(Generic[Joints_co]):
+    """Base of configurations: what follows from where the joints of a hand are.
+
+    Args:
+        hand: The hand, or the hands of a robot as one.
+
+    Attributes:
+        spread: `Hand.spread`.
+        data: Where the joints are, and how they move: do not write to it.
+        q: Configuration last placed, shape (nq,), read-only; a new array with every placement.
+        parts: Where the points of each hand are among all.
+    """
+
+    data: Joints_co
+    q: Array
+
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+        self.spread = hand.spread
+        self._points = AttachedPoints.reference_points(hand)
+        ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
+        self.parts = [*map(slice, [0, *ends], ends)]
+
+    @property
+    def nv(self) -> int:
+        """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
+        return self.spread.shape[1]
+
+    @property
+    def points(self) -> Array:
+        """Reference points in the world [m], shape (m, 3)."""
+        return frozen(self._points.positions(self))
+
+    def point_jacobian(self) -> Array:
+        """Jacobian of the points in the active coordinates, in world axes [m per unit].
+
+        Returns:
+            Jacobian, rows x, y, z of each point in turn, shape (3 m, k); a new array.
+        """
+        return self._points.jacobians(self).reshape(-1, self.nv)
+
+    def contracted(self, jacobian: Array) -> Array:
+        """Take a Jacobian over the model's tangent space to the active coordinates.
+
+        Args:
+            jacobian: Shape (..., model.nv).
+
+        Returns:
+            Jacobian, shape (..., k).
+        """
+        return jacobian.dot(self.spread)

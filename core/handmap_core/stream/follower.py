@@ -70,8 +70,14 @@ class Follower(HandFollower[MapStep], Generic[AnyMapper]):
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
         self.mapper = mapper
-        one: SampleMapper[MapStep] = mapper
-        super().__init__(one, guard, MapStep, rejoin=rejoin, smoothing=smoothing)
+        super().__init__(
+            # The checker takes the base's type variable for that of this class.
+            mapper,  # ty: ignore[invalid-argument-type]
+            guard,
+            MapStep,
+            rejoin=rejoin,
+            smoothing=smoothing,
+        )
 
     @exclusively
     def map_samples(
