@@ -99,6 +99,7 @@ _MODULES = {
     "hands check": "onboarding.cli",
     "hands match": "onboarding.cli",
     "hands edit": "onboarding.editor",
+    "hands save": "saving.cli",
     "robots list": "onboarding.cli",
     "robots show": "onboarding.cli",
     "robots check": "onboarding.cli",
@@ -158,7 +159,6 @@ _GROUPS = {
 _FOLDERS = {
     "calibrate-actuators": "packages/drive",
     "drive": "packages/drive",
-    "hands save": "examples/run",
     "ros2": "packages/ros2[dds]",
     "score": "packages/score",
     "track avp": "packages/sources",

@@ -65,7 +65,7 @@ import pinocchio as pin
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidOptionsError
-from handmap_core.ik.gate import Rows
+from handmap_core.ik.gate import Rows, moving_columns
 from handmap_core.models import (
     CollisionModel,
     PairsModel,
@@ -185,7 +185,7 @@ class PairBounds:
         Args:
             spread: `Hand.spread`, shape (nv, k).
         """
-        return (self.levers > 0.0).any(axis=0) @ (spread != 0.0)
+        return moving_columns(self.levers, spread)
 
 
 pair_bounds = lru_cache(maxsize=32)(PairBounds)

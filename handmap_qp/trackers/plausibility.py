@@ -10,6 +10,7 @@ from functools import cache
 
 from handmap_core.errors import InvalidInputError
 from handmap_core.human import Finding, Recording
+from handmap_core.se3 import Array
 from handmap_core.trackers import plausibility
 from handmap_core.trackers.orders import KnownOrders
 from handmap_qp.hands import Side
@@ -17,16 +18,21 @@ from handmap_qp.human import LANDMARK_COUNT
 from .layouts import LAYOUTS
 
 
-@cache
-def known_orders() -> KnownOrders:
-    """Return the known orders, with those of all layouts that have 21 landmarks."""
+def layout_orders() -> dict[str, Array]:
+    """Return where our landmarks are in each layout that has 21 of them, shape (21,), by name."""
     layouts = {}
     for name, layout in LAYOUTS.items():
         is_like_ours = layout.shapes[0][0] == LANDMARK_COUNT
         order = layout.order("right") if is_like_ours else None
         if order is not None:
             layouts[name] = order
-    return KnownOrders(layouts)
+    return layouts
+
+
+@cache
+def known_orders() -> KnownOrders:
+    """Return the known orders, with those of all layouts that have 21 landmarks."""
+    return KnownOrders(layout_orders())
 
 
 class InputCheck(plausibility.InputCheck):

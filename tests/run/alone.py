@@ -1,4 +1,4 @@
-"""What `handmap_run` does alone: it follows the samples of each case in a folder.
+"""What `handmap_core.run` does alone: it follows the samples of each case in a folder.
 
     python alone.py FOLDER        # CASE.hand and CASE.SIDE.npz become CASE.out.npz
 
@@ -105,8 +105,9 @@ def columns_of(follow, samples, measured):
 def main(folder):
     """Follow every case."""
     sys.meta_path.insert(0, Alone())
-    import handmap_run
     import numpy as np
+
+    from handmap_core.run import HumanSample, load, load_robot
 
     # Seconds to load, and microseconds a sample, of each case.
     times = {"hand": [], "robot": []}
@@ -114,17 +115,17 @@ def main(folder):
         is_robot = all(file.with_suffix(f".{side}.npz").exists() for side in SIDES)
         started = time.process_time()
         if is_robot:
-            follow = handmap_run.load_robot(file).map_samples
+            follow = load_robot(file).map_samples
         else:
-            follow = handmap_run.load(file).map_sample
+            follow = load(file).map_sample
         loaded = time.process_time()
-        samples = [*samples_of(file, handmap_run.HumanSample)]
+        samples = [*samples_of(file, HumanSample)]
         began = time.process_time()
         columns = columns_of(follow, samples, measured_of(file))
         each = 1e6 * (time.process_time() - began) / len(samples)
         times["robot" if is_robot else "hand"].append((loaded - started, each))
         np.savez(file.with_suffix(".out.npz"), **columns)
-    import handmap_run.client
+    import handmap_core.client  # noqa: F401
 
     found = {
         "python": sys.version.split()[0],

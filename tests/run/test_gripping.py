@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import copy
 import itertools
-import zlib
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from grip_cases import (
@@ -24,7 +21,10 @@ from grip_cases import (
 )
 from marks import rotated
 
+from handmap_core.run import load
+from handmap_core.run import load_robot as load_saved_robot
 from handmap_qp import HandMapper, HumanSample, load_hand
+from handmap_qp.apps.saving import saved_bytes
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Side, load_robot
 from handmap_qp.mapping import RobotMapper
@@ -37,18 +37,9 @@ pytestmark = [
 
 def saved_as(folder: Path, mapper: HandMapper | RobotMapper) -> Path:
     """Save a hand or a robot."""
-    from handmap_run.saving import saved
-
     file = folder / "case.hand"
-    file.write_bytes(saved(mapper))
+    file.write_bytes(saved_bytes(mapper))
     return file
-
-
-def own(sample: HumanSample) -> Any:
-    """Return a sample of the small wheel's package."""
-    import handmap_run
-
-    return handmap_run.HumanSample(**asdict(sample))
 
 
 def check_alike(found: Any, expected: Any, within: float) -> bool:
@@ -75,20 +66,18 @@ def middle_of(name: str) -> np.ndarray:
 @pytest.mark.parametrize("sees", [False, True], ids=["touch", "place"])
 @pytest.mark.parametrize("name", ["allegro_right", "panda_gripper", "dex3_right"])
 def test_a_saved_hand_grips_as_the_library_does(
-    site: Path, tmp_path: Path, name: str, sees: bool
+    tmp_path: Path, name: str, sees: bool
 ) -> None:
-    import handmap_run
-
     hand = load_hand(name)
     centre = middle_of(name) if sees else None
-    follower = handmap_run.load(
+    follower = load(
         saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation")), smoothing=None
     )
     ran = run(grip_follower(hand), opens=True, centre=centre, deviation=0.003)
     efforts = []
     for sample, (step, measured) in zip(samples(opens=True), ran, strict=True):
         found = follower.map_sample(
-            own(sample),
+            sample,
             measured_q=measured,
             object_centre=centre,
             object_deviation=0.003,
@@ -101,14 +90,10 @@ def test_a_saved_hand_grips_as_the_library_does(
     assert follower.mapper.tasks == ()
 
 
-def test_a_copy_goes_on_with_the_grip(site: Path, tmp_path: Path) -> None:
-    import handmap_run
-
+def test_a_copy_goes_on_with_the_grip(tmp_path: Path) -> None:
     hand = load_hand("panda_gripper")
-    follower = handmap_run.load(
-        saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation"))
-    )
-    pick = [own(sample) for sample in samples()]
+    follower = load(saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation")))
+    pick = [*samples()]
     ran = run(grip_follower(hand))
     *_, last = (
         follower.map_sample(sample, measured_q=measured)
@@ -116,27 +101,23 @@ def test_a_copy_goes_on_with_the_grip(site: Path, tmp_path: Path) -> None:
     )
     assert last.command.effort is not None
     again = copy.deepcopy(follower)
-    later = handmap_run.HumanSample(pick[-1].time + 0.02, "right", pick[-1].landmarks)
+    later = HumanSample(pick[-1].time + 0.02, "right", pick[-1].landmarks)
     # Joints that were not read leave what is held.
     both = [each.map_sample(later).command for each in (follower, again)]
     assert check_alike(*both, within=0.0)
 
 
 @pytest.mark.parametrize("name", rotated(["g1", "ur5_pair"], 2))
-def test_a_saved_robot_grips_with_each_hand(
-    site: Path, tmp_path: Path, name: str
-) -> None:
-    import handmap_run
-
+def test_a_saved_robot_grips_with_each_hand(tmp_path: Path, name: str) -> None:
     mapper = RobotMapper(load_robot(name), preset="teleoperation")
-    follower = handmap_run.load_robot(saved_as(tmp_path, mapper))
+    follower = load_saved_robot(saved_as(tmp_path, mapper))
     robot = mapper.robot
     grip = RobotGripFollower(RobotFollower(mapper))
     plant = BlockedHands(robot, {"left": WIDTH, "right": WIDTH})
     gripping = np.zeros(len(robot.joint_names), dtype=bool)
     for hands in both_hands(opens=True):
         expected = grip.map_samples(hands, plant.q).command
-        alike: Mapping[Side, Any] = {side: own(each) for side, each in hands.items()}
+        alike: Mapping[Side, Any] = {side: each for side, each in hands.items()}
         found = follower.map_samples(alike, measured_q=plant.q).command
         # Redundant arms amplify rounding.
         if check_alike(found, expected, within=1e-8):
@@ -146,67 +127,36 @@ def test_a_saved_robot_grips_with_each_hand(
     assert all((gripping & own).any() for own in robot.finger_joints)
 
 
-def test_without_measured_joints_it_follows_as_without_a_grip(
-    site: Path, tmp_path: Path
-) -> None:
-    import handmap_run
-
+def test_without_measured_joints_it_follows_as_without_a_grip(tmp_path: Path) -> None:
     hand = load_hand("panda_gripper")
     mapper = HandMapper(HUMAN, hand, "teleoperation")
     file = saved_as(tmp_path, mapper)
     plain = Follower(mapper)
-    both = [handmap_run.load(file), handmap_run.load(file, grip=None)]
+    both = [load(file), load(file, grip=None)]
     for sample, (_, measured) in zip(samples(), run(grip_follower(hand)), strict=True):
         expected = plain.map_sample(sample).command
-        bare = both[0].map_sample(own(sample)).command
-        unasked = both[1].map_sample(own(sample), measured_q=measured).command
+        bare = both[0].map_sample(sample).command
+        unasked = both[1].map_sample(sample, measured_q=measured).command
         for found in (bare, unasked):
             assert found.effort is None
             np.testing.assert_allclose(found.q, expected.q, atol=1e-12)
 
 
-def test_a_hand_that_cannot_grip_follows(site: Path, tmp_path: Path) -> None:
-    import handmap_run
-
+def test_a_hand_that_cannot_grip_follows(tmp_path: Path) -> None:
     hand = load_hand("three_finger")
-    follower = handmap_run.load(saved_as(tmp_path, HandMapper(HUMAN, hand, "paper")))
+    follower = load(saved_as(tmp_path, HandMapper(HUMAN, hand, "paper")))
     assert follower.gripping is None
     for sample, _ in zip(samples(), range(3), strict=False):
-        step = follower.map_sample(own(sample), measured_q=hand.rest)
+        step = follower.map_sample(sample, measured_q=hand.rest)
         assert step.command.effort is None
 
 
-def test_a_file_from_before_grips_follows(site: Path, tmp_path: Path) -> None:
-    import handmap_run
-    from handmap_run.form import File, decode
-    from handmap_run.models import encode
-
+def test_one_error_for_what_is_no_grip(tmp_path: Path) -> None:
     hand = load_hand("panda_gripper")
     file = saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation"))
-    content = msgspec.msgpack.decode(file.read_bytes(), type=File)
-    tree = decode(content.body)
-    del tree["robot"]["grasp"]
-    body = encode(tree)
-    content = msgspec.structs.replace(content, body=body, checksum=zlib.crc32(body))
-    file.write_bytes(msgspec.msgpack.encode(content))
-    follower = handmap_run.load(file)
-    assert follower.gripping is None
-    first = next(iter(samples()))
-    assert not follower.map_sample(own(first), measured_q=hand.rest).is_held
-
-
-def test_one_error_for_what_is_no_grip(site: Path, tmp_path: Path) -> None:
-    import handmap_run
-
-    hand = load_hand("panda_gripper")
-    file = saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation"))
-    with pytest.raises(handmap_run.InvalidInputError, match=r"grip: .*GripOptions"):
-        handmap_run.load(file, grip=5.0)
-    # Options of the library are of another package, but errors are the same.
-    assert handmap_run.InvalidInputError is InvalidInputError
-    with pytest.raises(handmap_run.InvalidInputError, match=r"grip: .*GripOptions"):
-        handmap_run.load(file, grip=GripOptions())
-    follower = handmap_run.load(file, grip=handmap_run.GripOptions(force=2.0))
+    with pytest.raises(InvalidInputError, match=r"grip: .*GripOptions"):
+        load(file, grip=5.0)
+    follower = load(file, grip=GripOptions(force=2.0))
     first = own(next(iter(samples())))
-    with pytest.raises(handmap_run.InvalidInputError, match="measured_q"):
+    with pytest.raises(InvalidInputError, match="measured_q"):
         follower.map_sample(first, measured_q=[0.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""`handmap_run` of this tree, and cases that it and `handmap_qp` follow alike."""
+"""Cases that saved hands and `handmap_qp` follow alike."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from injection import inject, parse_faults
 
 from handmap_core.human.recording import Recording, sample_columns
 from handmap_qp import Follower, HandMapper, HumanSample, load_hand
+from handmap_qp.apps.saving import saved_bytes
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.hands import Hand, Side, hand_files, load_robot, robot_files
 from handmap_qp.human import PALM, landmarks_at_rest, scaled_human
@@ -32,7 +33,6 @@ from handmap_qp.stream import GripFollower, RobotFollower
 from handmap_qp.trackers import LAYOUTS, read_hands, read_recording
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ROOT / "examples" / "run"
 ALONE = ROOT / "tests" / "run" / "alone.py"
 
 FAULTS = (
@@ -60,12 +60,6 @@ def module_of(file: Path) -> ModuleType:
     return module
 
 
-def write_package(folder: Path) -> Path:
-    """Write the package as its wheel has it, and return the folder that it is in."""
-    module_of(SOURCES / "taken.py").write_package(folder)
-    return folder
-
-
 def write_case(
     folder: Path,
     name: str,
@@ -73,9 +67,7 @@ def write_case(
     *recordings: Recording,
 ) -> None:
     """Write a hand or a robot, and samples of each hand, for `alone.py`."""
-    from handmap_run.saving import saved
-
-    (folder / f"{name}.hand").write_bytes(saved(mapper))
+    (folder / f"{name}.hand").write_bytes(saved_bytes(mapper))
     for each in recordings:
         count = len(each)
         shares = each.confidence

@@ -55,6 +55,16 @@ class Collisions(Protocol):
         """How they are kept apart."""
 
 
+def moving_columns(levers: Array, spread: Array) -> Array:
+    """Return which active coordinates move the shapes of any pair against each other, shape (k,).
+
+    Args:
+        levers: `PairsModel.levers`, shape (p, nv).
+        spread: `Hand.spread`, shape (nv, k).
+    """
+    return (levers > 0.0).any(axis=0) @ (spread != 0.0)
+
+
 Kept = TypeVar("Kept", bound=Collisions)
 
 

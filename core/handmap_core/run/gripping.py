@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
+from typing import Generic
 
 from numpy.typing import ArrayLike
 
-from handmap_core.human.recording import Recording
-from handmap_core.human.sample import HumanSample
-from handmap_core.ik.motion import When
-from handmap_core.mapping.step import MapStep
+from handmap_core.errors import expect
+from handmap_core.hands import GraspFinger
+from handmap_core.human import HumanSample, Recording
+from handmap_core.ik import When
+from handmap_core.mapping import MapStep
+from handmap_core.stream.follower import AnyMapper, Follower
+from handmap_core.stream.grip import GripFollower
 from handmap_core.stream.hand_grip import GripOptions, can_grip
 from handmap_core.stream.object_place import PLACE_DEVIATION
 from handmap_core.stream.step_table import StepTable
-from handmap_qp.errors import expect
-from handmap_qp.mapping.hand_mapper import HandMapper
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.grip import GripFollower
 
 
-class GrippingFollower:
+class GrippingFollower(Generic[AnyMapper]):
     """Follows as a `Follower`, and holds what the hand meets as a `GripFollower`.
 
     Args:
         follower: Follows the samples.
+        fingers: What grips, the thumb first; empty where nothing does.
         grip: How what is met is held; None to hold nothing.
 
     Attributes:
@@ -35,17 +36,22 @@ class GrippingFollower:
         InvalidInputError: If `grip` is something else.
     """
 
-    def __init__(self, follower: Follower, grip: GripOptions | None) -> None:
+    def __init__(
+        self,
+        follower: Follower[AnyMapper],
+        fingers: Sequence[GraspFinger],
+        grip: GripOptions | None,
+    ) -> None:
         self.follower = follower
-        self.gripping = None
-        if is_asked(grip) and can_grip(follower.mapper):
-            self.gripping = GripFollower(follower, grip)
+        self.gripping: GripFollower[AnyMapper] | None = None
+        if is_asked(grip) and can_grip(follower.mapper.source, fingers):
+            self.gripping = GripFollower(follower, fingers, grip)
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
     @property
-    def mapper(self) -> HandMapper:
+    def mapper(self) -> AnyMapper:
         """Maps the samples."""
         return self.follower.mapper
 

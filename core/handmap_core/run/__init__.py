@@ -1,9 +1,6 @@
-"""A robot's computer: saved hands, the follower and the client, by the core of handmap-qp.
+"""A robot's computer: saved hands follow a tracker, and hold what they meet.
 
-It needs numpy (1.26 or later), msgspec, pyzmq and handmap-core. What follows here follows in
-handmap-qp too:
-
-    from handmap_run import HumanSample, load
+    from handmap_core.run import HumanSample, load
 
     follower = load("leap_right.hand")              # handmap hands save leap_right
     step = follower.map_sample(HumanSample(time, "right", landmarks))
@@ -14,10 +11,9 @@ With the joints that its encoders measure, the hand holds what it meets, by torq
     step = follower.map_sample(sample, measured_q=motors.read())
     step.command.effort                             # [N m or N]; None without a grip
 
-`handmap_run.client` is the client of the mapping service.
+It needs numpy (1.26 or later) and msgspec alone. What follows here follows in `handmap_qp`, too.
+`handmap_core.client` is the client of the mapping service.
 """
-
-__version__ = "0.2.0"
 
 from handmap_core.errors import (
     HandError,
@@ -25,15 +21,17 @@ from handmap_core.errors import (
     InvalidInputError,
     InvalidOptionsError,
 )
-from handmap_core.human.sample import HumanSample
+from handmap_core.human import HumanSample
 from handmap_core.stream.hand_grip import GripOptions
 from handmap_core.stream.smoothing import Smoothing
-from handmap_qp.stream.follower import Follower
-from .saved import load, load_robot
+from .gripping import GrippingFollower
+from .load import load, load_robot
+from .robot_gripping import GrippingRobotFollower
 
 __all__ = [
-    "Follower",
     "GripOptions",
+    "GrippingFollower",
+    "GrippingRobotFollower",
     "HandError",
     "HandmapError",
     "HumanSample",

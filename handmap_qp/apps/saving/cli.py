@@ -21,12 +21,12 @@ from handmap_qp.hands import Side, load_hand, load_whole
 from handmap_qp.human import human_name, read_person
 from handmap_qp.mapping import HandMapper, RobotMapper
 from handmap_qp.output_files import check_output, replaced_file
-from .saving import saved
+from .records import saved_bytes
 
 
 @dataclass(frozen=True)
-class Save:
-    """Save a hand and how it follows, for a robot's computer that has `handmap-run` alone.
+class HandsSave:
+    """Save a hand and how it follows, for a robot's computer that has `handmap-core` alone.
 
     The file has all that the compiled core needs of the robot's hand, or of a robot with two, and
     of the person's: no URDF, mesh or package is read there. It is for the person and the options
@@ -75,9 +75,9 @@ class Save:
         human, *_ = humans.values()
         preset, method, ik = self.arguments.preset_for(human, robot.hands[0])
         if is_one:
-            content = saved(HandMapper(human, robot, method, ik=ik))
+            content = saved_bytes(HandMapper(human, robot, method, ik=ik))
         else:
-            content = saved(RobotMapper(robot, humans, method, ik=ik))
+            content = saved_bytes(RobotMapper(robot, humans, method, ik=ik))
         if self.check:
             expect(out.is_file(), "--out", "a file that was saved", value=str(out))
             if out.read_bytes() != content:

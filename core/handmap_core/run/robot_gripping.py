@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from typing import Generic
 
 from numpy.typing import ArrayLike
 
-from handmap_core.human.sample import HumanSample
-from handmap_core.ik.motion import When
+from handmap_core.hands import GraspFinger, Side
+from handmap_core.human import HumanSample
+from handmap_core.ik import When
 from handmap_core.mapping.robot_step import RobotStep
+from handmap_core.stream.grip import RobotGripFollower
 from handmap_core.stream.hand_grip import GripOptions, can_grip
-from handmap_qp.hands import Side
-from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.stream.grip import RobotGripFollower
-from handmap_qp.stream.robot_follower import RobotFollower
+from handmap_core.stream.robot_follower import AnyRobot, RobotFollower
 from .gripping import is_asked
 
 
-class GrippingRobotFollower:
+class GrippingRobotFollower(Generic[AnyRobot]):
     """Follows as a `RobotFollower`, and holds what each hand meets as a `RobotGripFollower`.
 
     Args:
         follower: Follows the samples.
+        fingers: What grips, the thumb first, by side; empty where nothing does.
         grip: How what is met is held; None to hold nothing.
 
     Attributes:
@@ -33,17 +34,25 @@ class GrippingRobotFollower:
         InvalidInputError: If `grip` is something else.
     """
 
-    def __init__(self, follower: RobotFollower, grip: GripOptions | None) -> None:
+    def __init__(
+        self,
+        follower: RobotFollower[AnyRobot],
+        fingers: Mapping[Side, Sequence[GraspFinger]],
+        grip: GripOptions | None,
+    ) -> None:
         self.follower = follower
-        self.gripping = None
-        if is_asked(grip) and any(map(can_grip, follower.mapper.sources.values())):
-            self.gripping = RobotGripFollower(follower, grip)
+        self.gripping: RobotGripFollower[AnyRobot] | None = None
+        hands = follower.mapper.hands.items()
+        if is_asked(grip) and any(
+            can_grip(hand.source, fingers[side]) for side, hand in hands
+        ):
+            self.gripping = RobotGripFollower(follower, fingers, grip)
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
     @property
-    def mapper(self) -> RobotMapper:
+    def mapper(self) -> AnyRobot:
         """Maps the samples."""
         return self.follower.mapper
 

@@ -1,0 +1,268 @@
+"""`SavedHand`: a hand that was saved, with what `Hand` asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handmap_core.core import core
+from handmap_core.errors import InvalidInputError, expect
+from handmap_core.hands import GraspFinger, Names, Pad, Side
+from handmap_core.hands.core_configuration import (
+    CoreConfiguration,
+    CoreFrame,
+    CorePose,
+    CoreTree,
+)
+from handmap_core.models import encode
+from handmap_core.se3 import (
+    Array,
+    PoseLike,
+    as_floats,
+    check_pose,
+    frozen,
+    inverse_pose,
+    quat_wxyz_from_rotation,
+)
+from .records import HandRecord, PointRecord
+
+if TYPE_CHECKING:
+    from handmap_core import _core
+
+_AT_LIMIT = 1e-6
+"""Joints that are nearer to a limit are at it [rad or m]."""
+
+
+class SavedHand:
+    """A hand that was saved; see `Hand`.
+
+    Args:
+        record: What was saved.
+        parts: The hands of a robot that is moved as one; empty for one hand.
+
+    Attributes:
+        record: As given.
+        parts: As given.
+        model: Its tree of joints.
+        grasp: What grips, the thumb first; empty where nothing does.
+    """
+
+    unscaled = None
+
+    def __init__(self, record: HandRecord, parts: Sequence[SavedHand] = ()) -> None:
+        self.record = record
+        self.parts = tuple(parts)
+        self.reference_points = record.points
+        self.model = CoreTree(record.model)
+        own = record.model
+        self.limits = frozen(np.array([own.lower, own.upper]))
+        self.lower_limits, self.upper_limits = self.limits
+        self.wrist_frames = [CoreFrame.of(place) for place in own.wrists]
+        self.palm_frame = CoreFrame.of(own.palm)
+        self.point_frames = [
+            CoreFrame(joint + 1, CorePose(_shifted(offset)))
+            for joint, offset in zip(own.point_joints, own.point_offsets, strict=True)
+        ]
+        self._wrist_to_root = inverse_pose(own.wrists[0].placement)
+        self.wrist_to_palm = frozen(self._wrist_to_root @ own.palm.placement)
+        self.grasp = tuple(
+            GraspFinger(
+                Pad(each.joint, each.offset, each.radius, each.cover),
+                each.columns,
+                each.is_jaw,
+            )
+            for each in record.grasp
+        )
+
+    def __reduce__(
+        self,
+    ) -> tuple[type[SavedHand], tuple[HandRecord, tuple[SavedHand, ...]]]:
+        """Make a copy from the record, with a workspace of its own."""
+        return type(self), (self.record, self.parts)
+
+    @cached_property
+    def tree(self) -> _core.Tree:
+        """The kinematics of the compiled core."""
+        return core.Tree(encode(self.record.model))
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return self.record.name
+
+    @property
+    def side(self) -> Side:
+        """Side of the body that it belongs to."""
+        return self.record.side
+
+    @property
+    def upright(self) -> str:
+        """Axes of its world that are up and forward."""
+        return self.record.upright
+
+    @property
+    def is_floating(self) -> bool:
+        """Whether the wrist is free to move."""
+        return self.record.is_floating
+
+    @property
+    def has_floating_base(self) -> bool:
+        """Whether a robot walks or drives."""
+        return self.record.has_floating_base
+
+    @property
+    def has_moving_wrist(self) -> bool:
+        """Whether free coordinates or joints of an arm move the wrist."""
+        return self.wrist_frame.parentJoint > 0
+
+    @property
+    def joint_names(self) -> Names:
+        """The n joints of every `q`, in its order."""
+        return self.record.joint_names
+
+    @property
+    def rules(self) -> Names:
+        """Names of the joints that follow others."""
+        return self.record.followers
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Speed limits [rad/s or m/s], shape (n,)."""
+        return self.record.velocity_limits
+
+    @property
+    def wrist_speeds(self) -> tuple[float, float]:
+        """Speed limits of a floating wrist [m/s, rad/s]."""
+        return self.record.wrist_speeds
+
+    @property
+    def rest(self) -> Array:
+        """Rest posture [rad or m], shape (n,)."""
+        return self.record.model.rest
+
+    @property
+    def spread(self) -> Array:
+        """From the active coordinates to those of the model, shape (nv, k)."""
+        return self.record.model.spread
+
+    @property
+    def active_columns(self) -> Array:
+        """Indices of the active coordinates among those of the model, shape (k,)."""
+        return self.record.active_columns
+
+    @property
+    def joint_columns(self) -> Array:
+        """Indices of the joints among the active coordinates, shape (n,)."""
+        return self.record.model.joint_columns
+
+    @property
+    def q_indices(self) -> Array:
+        """Indices of the joints in a configuration, shape (n,)."""
+        return self.record.model.q_indices
+
+    @property
+    def point_weights(self) -> Array:
+        """Weights of the reference points, shape (m,)."""
+        return self.record.point_weights
+
+    @property
+    def palm_weights(self) -> Array:
+        """Weights of the palm's points, by finger, shape (5,)."""
+        return self.record.palm_weights
+
+    @property
+    def finger_joints(self) -> Array:
+        """Which joints move points of each of its h hands, and no wrist, shape (h, n)."""
+        return self.record.model.fingers > 0.0
+
+    @property
+    def moves_wrist(self) -> Array:
+        """Which joints move the wrist, shape (n,)."""
+        return self.record.moves_wrist
+
+    @property
+    def wrist_frame(self) -> CoreFrame:
+        """Frame of the wrist, or of the first one of a robot."""
+        return self.wrist_frames[0]
+
+    @property
+    def hands(self) -> tuple[SavedHand, ...]:
+        """The hands of a robot that is moved as one; else this hand alone."""
+        return self.parts or (self,)
+
+    def configuration(self) -> CoreConfiguration:
+        """Return a new workspace for this hand, for one user at a time."""
+        start = self.record.model.configuration
+        return CoreConfiguration(self, self.model, self.wrist_frames, start)
+
+    def configuration_vector(
+        self, q: ArrayLike, wrist_pose: PoseLike | None = None
+    ) -> Array:
+        """Return the configuration of joint positions and a wrist pose, shape (nq,).
+
+        Raises:
+            InvalidInputError: On a wrong shape, numbers that are not finite, or a wrong wrist pose.
+        """
+        own = self.record.model
+        angles = as_floats(q, "q", shape=(len(self.joint_names),), is_finite=True)
+        pose = np.eye(4)
+        if wrist_pose is not None:
+            pose = check_pose(wrist_pose, "wrist_pose")
+            expected = f"none: {self.name} has a fixed wrist"
+            expect(self.is_floating, "wrist_pose", expected, value=wrist_pose)
+        vector = np.zeros(own.nq)
+        moving = own.motion @ angles + own.shift
+        vector[own.moving_q] = moving[: len(own.moving_q)]
+        if self.is_floating:
+            root = pose @ self._wrist_to_root
+            quat_xyzw = np.roll(quat_wxyz_from_rotation(root[:3, :3]), -1)
+            vector[:7] = *root[:3, 3], *quat_xyzw
+        return vector
+
+    def points(self, q: ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
+        """Return the reference points of a posture [m], shape (m, 3)."""
+        points, _ = self.tree.posture(self.configuration_vector(q, wrist_pose))
+        return points
+
+    def with_points(self, points: str) -> Landmarks:
+        """Return a person's hand with its landmarks in place of its reference points.
+
+        Raises:
+            InvalidInputError: If other points are asked for, or the hand has no landmarks.
+        """
+        if points != "landmarks" or not self.record.landmarks:
+            raise InvalidInputError(
+                argument="points",
+                expected="landmarks: a saved hand keeps its points",
+                value=points,
+            )
+        return Landmarks(self.record)
+
+    def at_position_limit(self, q: Array) -> Array:
+        """Return which joints are at a position limit, shape (n,)."""
+        lower, upper = self.limits
+        return (q <= lower + _AT_LIMIT) | (q >= upper - _AT_LIMIT)
+
+
+class Landmarks(SavedHand):
+    """A person's hand of which only its landmarks are asked for.
+
+    Args:
+        record: The hand.
+        parts: As of `SavedHand`.
+    """
+
+    def __init__(self, record: HandRecord, parts: Sequence[SavedHand] = ()) -> None:
+        super().__init__(record, parts)
+        self.reference_points: tuple[PointRecord, ...] = record.landmarks
+
+
+def _shifted(offset: Array) -> Array:
+    """Return the pose of a point [m], shape (3,), in the axes of what carries it."""
+    pose = np.eye(4)
+    pose[:3, 3] = offset
+    return pose
