@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from PIL import Image
 
+from handmap_core.run import GrippingFollower
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.apps.drawing.contact_sheet import VIEWS
 from handmap_qp.apps.drawing.hands import UPRIGHT, load_shape
@@ -100,6 +101,14 @@ def answered(example: Path) -> np.ndarray:
     return strip([(robot, [answer.q for _, answer in answers])])
 
 
+def followed(example: Path) -> np.ndarray:
+    """Draw the commands of a saved hand."""
+    with caught(GrippingFollower, "map_sample") as steps:
+        run(example)
+    robot = load_hand("three_finger")
+    return strip([(robot, [step.command.q for _, step in steps])])
+
+
 def simulated(example: Path) -> np.ndarray:
     """Draw a simulated pick."""
     with caught(PinchScene, "run") as outcomes:
@@ -162,6 +171,7 @@ DRAWN = {
     "07_recording_to_lerobot": stored,
     "08_tracker_service_driver": answered,
     "09_mujoco_object": simulated,
+    "12_robot_computer": followed,
 }
 """Examples that are not drawn as the commands of their mappers."""
 

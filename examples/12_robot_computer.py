@@ -43,7 +43,7 @@ def make_files(folder):
 
     hand, file = f"{folder}/my.hand", f"{folder}/samples.npz"
     assert cli.main(["hands", "save", "three_finger", "--out", hand]) == 0
-    demo = read_recording("demo")
+    demo = read_recording("demo::right")
     np.savez(file, time=demo.time, landmarks=demo.landmarks)
     return hand, file
 

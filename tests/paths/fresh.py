@@ -303,12 +303,12 @@ class Fresh:
         Args:
             ports: Ports of the service by name.
             session: Name of the session.
-            alone: Python of an environment that has the small wheel, for its client.
+            alone: Python of an environment that has the core alone, for its client.
         """
         words = f"tcp://127.0.0.1:{ports['requests']}", session
         with self.step(f"a driver takes commands of the session {session}"):
             if alone:
-                command = [alone, "-c", _COMMANDS, "handmap_run", *words]
+                command = [alone, "-c", _COMMANDS, "handmap_core", *words]
                 printed = run(command, env=self._variables, cwd=self.work)
             else:
                 printed = self.python(_COMMANDS, "handmap_qp", *words)

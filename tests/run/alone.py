@@ -114,10 +114,7 @@ def main(folder):
     for file in sorted(folder.glob("*.hand")):
         is_robot = all(file.with_suffix(f".{side}.npz").exists() for side in SIDES)
         started = time.process_time()
-        if is_robot:
-            follow = load_robot(file).map_samples
-        else:
-            follow = load(file).map_sample
+        follow = load_robot(file).map_samples if is_robot else load(file).map_sample
         loaded = time.process_time()
         samples = [*samples_of(file, HumanSample)]
         began = time.process_time()

@@ -154,9 +154,10 @@ def test_a_hand_that_cannot_grip_follows(tmp_path: Path) -> None:
 def test_one_error_for_what_is_no_grip(tmp_path: Path) -> None:
     hand = load_hand("panda_gripper")
     file = saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation"))
+    wrong: Any = 5.0
     with pytest.raises(InvalidInputError, match=r"grip: .*GripOptions"):
-        load(file, grip=5.0)
+        load(file, grip=wrong)
     follower = load(file, grip=GripOptions(force=2.0))
-    first = own(next(iter(samples())))
+    first = next(iter(samples()))
     with pytest.raises(InvalidInputError, match="measured_q"):
         follower.map_sample(first, measured_q=[0.0, 0.0, 0.0])

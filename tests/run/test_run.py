@@ -47,7 +47,7 @@ from handmap_qp import (
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.saving import saved_bytes
 from handmap_qp.apps.saving.cli import HandsSave
-from handmap_qp.errors import HandError, InvalidOptionsError
+from handmap_qp.errors import HandError, InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Side, load_robot
 from handmap_qp.mapping import RobotMapper, get_preset
 from handmap_qp.stream import RobotFollower
@@ -204,12 +204,9 @@ def test_a_robot_goes_on_as_that_of_the_library(
 
 
 def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
-    from human import Recording as Columns
-
     recording = recording_with(FAULTS[1])
     table = Follower(mapper_of(*CASES[0])).map_samples(recording)
-    columns = Columns(**asdict(recording))
-    found = load(saved).map_samples(columns)
+    found = load(saved).map_samples(recording)
     # The last column is CPU time.
     np.testing.assert_allclose(found.rows[:, :-1], table.rows[:, :-1], atol=1e-12)
 
@@ -306,7 +303,8 @@ def test_wrong_samples_leave_the_hand_where_it_is(saved: Path) -> None:
         with pytest.raises(InvalidInputError) as error:
             follower.map_sample(HumanSample(*wrong))
         assert error.value.argument == argument
-    for wrong in (landmarks, None, {"right": first}):
+    others: tuple[Any, ...] = (landmarks, None, {"right": first})
+    for wrong in others:
         with pytest.raises(InvalidInputError, match="a HumanSample"):
             follower.map_sample(wrong)
     motion = follower.mapper.motion
@@ -316,24 +314,24 @@ def test_wrong_samples_leave_the_hand_where_it_is(saved: Path) -> None:
 
 
 def test_wrong_arguments_are_found_at_once(saved: Path, saved_robot: Path) -> None:
-    for load, file in (
+    for load_it, file in (
         (load, saved),
         (load_saved_robot, saved_robot),
     ):
         wrong: Any = "x"
         with pytest.raises(InvalidInputError, match=r"smoothing: .*'x'"):
-            load(file, smoothing=wrong)
+            load_it(file, smoothing=wrong)
         with pytest.raises(InvalidOptionsError, match=r"rejoin: .*glide, clutch"):
-            load(file, rejoin=wrong)
+            load_it(file, rejoin=wrong)
     follower = load_saved_robot(saved_robot)
     sample = HumanSample(0.0, "right", DEMO.landmarks[0])
-    cases: tuple[tuple[Any, str], ...] = (
+    cases: list[tuple[Any, str]] = [
         (sample, "samples: expected a HumanSample of each hand"),
         ({"left": DEMO.landmarks[0]}, "sample: expected a HumanSample"),
         ({"left": sample}, "side: expected samples of a left hand"),
         ({"middle": sample}, "side: expected left and right"),
         ({}, "hands: expected a sample of one at least"),
-    )
+    ]
     for samples, said in cases:
         with pytest.raises(InvalidInputError, match=said):
             follower.map_samples(samples)

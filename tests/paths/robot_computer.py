@@ -1,4 +1,4 @@
-"""A robot's computer: `handmap-run` alone follows saved hands as the library does.
+"""A robot's computer: `handmap-core` alone follows saved hands as the library does.
 
 Prints sizes, times and the largest difference of commands, and takes commands of a service; with
 numpy 1.26 and the newest, on every supported Python that uv finds.
@@ -10,14 +10,12 @@ import json
 import os
 import statistics
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from paths.fresh import ROOT, Fresh, build, find_uv, run, stop
-from run_cases import ALONE, SOURCES, difference
+from run_cases import ALONE, difference
 
 NUMPY = ("numpy==1.26.4", "numpy")
 MOST = 1e-9
@@ -39,7 +37,7 @@ started = time.process_time()
 import numpy
 
 print(time.process_time() - started)
-import handmap_run
+import handmap_core.run
 
 print(time.process_time() - started)
 """
@@ -50,35 +48,26 @@ from operator import attrgetter
 from pathlib import Path
 
 import handmap_core
-import handmap_run
 import numpy
 
-folders = [Path(each.__file__).parent for each in (handmap_core, handmap_run)]
-for file in [file for folder in folders for file in folder.rglob("*.py")]:
+for file in Path(handmap_core.__file__).parent.rglob("*.py"):
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):
             if found := re.fullmatch(r"np\\.([\\w.]+)", ast.unparse(node)):
                 attrgetter(found[1])(numpy)
 """
 """Ends with an error at a name that this numpy does not have, in whatever function it is."""
-PARTS = ("handmap_core", "handmap_run", "numpy")
+PARTS = ("handmap_core", "numpy")
 """What the environment is measured by."""
 UNNEEDED = ("mink", "yourdfpy", "osqp", "proxsuite", "qpsolvers")
 """What is installed for other formulations, solvers and formats."""
 
 
-class Wheels(NamedTuple):
-    """What a robot's computer installs."""
-
-    core: Path
-    small: Path
-
-
-def wheels_for(python: str, folder: Path) -> Wheels:
-    """Return the wheels for an interpreter, built into a folder."""
-    for source in (ROOT / "core", SOURCES):
-        build(source, folder, python)
-    return Wheels(*sorted(folder.glob("*.whl")))
+def wheel_for(python: str, folder: Path) -> Path:
+    """Return the core's wheel for an interpreter, built into a folder."""
+    build(ROOT / "core", folder, python)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
 
 
 def find_pythons() -> list[str]:
@@ -115,18 +104,18 @@ def compare(cases: Path) -> tuple[list[float], list[float]]:
         found, own = difference(*columns), float(columns[1]["own"])
         is_decided = own > MOST
         if found > (np.finfo(float).max if is_decided else MOST):
-            stop(f"the small wheel commands something else: {file.stem}, {found:.1e}")
+            stop(f"the core alone commands something else: {file.stem}, {found:.1e}")
         (decided if is_decided else same).append(found)
     return same, decided
 
 
-def try_alone(wheels: Wheels, python: str, numpy: str, cases: Path) -> str:
+def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
     """Follow all cases in a fresh environment, compare, and return its Python."""
-    environment = wheels.small.parent / f"with {numpy}"
+    environment = wheel.parent / f"with {numpy}"
     run([find_uv(), "venv", "--quiet", "--python", python, str(environment)])
     own = str(environment / "bin" / "python")
     words = [find_uv(), "pip", "install", "--quiet", "--python", own]
-    run([*words, *map(str, wheels), numpy])
+    run([*words, f"{wheel}[client]", numpy])
     packages = next(environment.glob("lib/python3*/site-packages"))
     sizes = {name: size_of(packages / name) for name in PARTS}
     sizes["numpy"] += size_of(packages / "numpy.libs")
@@ -142,8 +131,7 @@ def try_alone(wheels: Wheels, python: str, numpy: str, cases: Path) -> str:
     print(
         f"           Python {found['python']}, numpy {found['numpy']}: "
         f"{size:.1f} MB, of which numpy {sizes['numpy']:.1f}, handmap_core "
-        f"{sizes['handmap_core']:.1f}, handmap_run {sizes['handmap_run']:.1f}; wheels "
-        f"{sum(each.stat().st_size for each in wheels) / 1e6:.2f} MB\n"
+        f"{sizes['handmap_core']:.1f}; its wheel {wheel.stat().st_size / 1e6:.2f} MB\n"
         f"           import {everything:.0f} ms of CPU (best of 9), of which numpy "
         f"{own_numpy:.0f}"
     )
@@ -162,7 +150,7 @@ def try_alone(wheels: Wheels, python: str, numpy: str, cases: Path) -> str:
 
 
 def follow_service(path: Fresh, own: str) -> None:
-    """Take commands of a service by the client of the small wheel."""
+    """Take commands of a service by the client of the core."""
     with path.serving() as ports:
         to = f"127.0.0.1:{ports['requests']}"
         replay = ("track", "replay", "demo", "--loop", "--to", to)
@@ -185,7 +173,7 @@ def leave_out(path: Fresh) -> None:
 
 
 def main() -> None:
-    """Save hands by both wheels in one environment, and follow them by the small one alone."""
+    """Save hands by the library, and follow them by the core alone."""
     with (
         tempfile.TemporaryDirectory() as scratch,
         Fresh("A robot's computer", "robots", "service") as path,
@@ -193,9 +181,6 @@ def main() -> None:
         folder = Path(scratch)
         cases = folder / "cases"
         cases.mkdir()
-        with path.step("build the small wheel"):
-            wheels = wheels_for(sys.executable, folder / "wheel")
-        path.install(str(wheels.small), title="the small wheel beside it")
         path.handmap("hands", "save", "three_finger")
         path.handmap("hands", "save", "three_finger", "--check")
         with path.step(
@@ -205,10 +190,10 @@ def main() -> None:
             code = f"import os\nos.environ['HANDMAP_RECORDINGS'] = {shared!r}\n{_CASES}"
             path.python(code, str(cases), str(ROOT / "tests" / "support"))
         for k, python in enumerate(find_pythons()):
-            wheels = wheels_for(python, folder / f"{k}")
+            wheel = wheel_for(python, folder / f"{k}")
             for numpy in NUMPY:
-                with path.step(f"follow them with {numpy} by the small wheel alone"):
-                    own = try_alone(wheels, python, numpy, cases)
+                with path.step(f"follow them with {numpy} by the core alone"):
+                    own = try_alone(wheel, python, numpy, cases)
                 follow_service(path, own)
         # Last: the service needs some of it.
         leave_out(path)
