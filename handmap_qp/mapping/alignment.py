@@ -4,7 +4,14 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from handmap_core.mapping import alignment
-from handmap_core.mapping.alignment import ROTATIONS, rotation_onto
+from handmap_core.mapping.alignment import ROTATIONS as ROTATIONS
+from handmap_core.mapping.alignment import Alignment as Alignment
+from handmap_core.mapping.alignment import Row as Row
+from handmap_core.mapping.alignment import (
+    alignment_from_gestures as alignment_from_gestures,
+)
+from handmap_core.mapping.alignment import rotation_of as rotation_of
+from handmap_core.mapping.alignment import rotation_onto as rotation_onto
 from handmap_qp.hands import Hand, Values
 from .method import BoundMethod, MethodOptions
 

@@ -485,8 +485,7 @@ def test_a_mistyped_word_is_answered_with_the_nearest_one(
 def commands_of_packages() -> dict[str, str]:
     """Return the folder of each command that a package of the tree has, by its entry points."""
     found = {}
-    run = ROOT / "examples" / "run" / "pyproject.toml"
-    for file in (*(ROOT / "packages").glob("*/pyproject.toml"), run):
+    for file in (ROOT / "packages").glob("*/pyproject.toml"):
         project = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {})
         points = project.get("entry-points", {}).get("handmap_qp.commands", {})
         found |= dict.fromkeys(points, file.parent.relative_to(ROOT).as_posix())
