@@ -65,9 +65,7 @@ class Tree:
         samples: int,
         tolerance: float,
     ) -> Array: ...
-    def smallest_distances(
-        self, pairs: PairBounds, q: Array, starts: Sequence[int], most: float
-    ) -> Array: ...
+    def smallest_distances(self, pairs: PairBounds, q: Array, most: float) -> Array: ...
 
 class PairBounds:
     """Pairs of shapes that are kept apart; made of a `PairsModel`."""
@@ -193,15 +191,6 @@ class Ik(Gate):
             offsets: Joints and places of two points, the wanted offset, and its weight.
             rows: Returns residual, Jacobian and damping of each task of Python in a configuration.
         """
-    def solve_many(
-        self,
-        points: Array,
-        wrists: Array | None,
-        dt: Array,
-        speed: Array,
-        margins: Array | None,
-        postures: Sequence[tuple[float | Array, Array]],
-    ) -> Array: ...
 
 # -- samples of a human hand
 
@@ -211,8 +200,6 @@ class HumanPose:
     def __init__(self, points: Array, wrist: Array | None) -> None: ...
     @property
     def points(self) -> Array: ...
-    @property
-    def in_wrist(self) -> Array: ...
     @property
     def wrist(self) -> Array | None: ...
 
@@ -273,9 +260,6 @@ class HomogeneousMap(TargetMap):
     def __init__(self, model: bytes) -> None: ...
 
 # -- steps
-
-STATUSES: tuple[str, ...]
-"""Outcomes of a step, in the order of the numbers of a `StepTable`."""
 
 class Step:
     """Where a robot has moved in one sample; see `IkResult`."""
@@ -442,15 +426,11 @@ class SampleClock:
     @property
     def period(self) -> float: ...
     @property
-    def late_count(self) -> int: ...
-    @property
     def rule(self) -> str: ...
     @property
     def elapsed(self) -> float: ...
     @property
     def dt(self) -> float: ...
-    @property
-    def passed(self) -> float: ...
     @property
     def is_idle(self) -> bool: ...
     @property
@@ -493,8 +473,6 @@ class Change:
     def noise(self) -> float: ...
     @property
     def is_mirrored(self) -> bool: ...
-    @property
-    def is_alone(self) -> bool: ...
 
 def change_between(track: Track, sample: Track, dt: float) -> Change: ...
 

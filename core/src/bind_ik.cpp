@@ -1,4 +1,4 @@
-// Motion of a robot for a goal, sample by sample or many samples at once.
+// Motion of a robot for a goal, sample by sample.
 #include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
@@ -174,38 +174,6 @@ void go_on(Ik& ik, const nb::object& given) {
   ik.detours = std::move(detours);
 }
 
-// Many samples of one goal each, one after the other and without the GIL, from where the hand is.
-// Returns for each sample its configuration, displacement, stop times and status, one after the other.
-NumpyArray solve_many(Ik& ik, const Array& points,
-                                          const std::optional<Array>& wrists, const Array& dt,
-                                          const Array& speed, const std::optional<Array>& margins,
-                                          const Postures& postures) {
-  const size_t count = dt.size(), m = 3 * ik.tree.points.size();
-  expect_size(points, count * m, "points");
-  expect_size(speed, count, "speed");
-  if (wrists) expect_size(*wrists, 16 * count, "wrists");
-  if (ik.tree.parts.size() > 1) throw std::invalid_argument("several hands");
-  Goal goal;
-  goal.points.resize(ik.tree.points.size());
-  goal.postures = postures_of(ik, postures);
-  const Vector kept = margins_of(ik, margins);
-  double* to;
-  NumpyArray numbers = array_of({count * (ik.tree.nq + 2 * ik.tree.size + 1)}, to);
-  nb::gil_scoped_release released;
-  Result result;
-  for (size_t i = 0; i < count; ++i) {
-    const double* from = points.data() + i * m;
-    for (size_t k = 0; k < goal.points.size(); ++k)
-      goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
-    if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
-    ik.solve(goal, When::after(dt.data()[i]), kept, speed.data()[i], result);
-    for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
-      to = std::copy(part->begin(), part->end(), to);
-    *to++ = static_cast<double>(result.status);
-  }
-  return numbers;
-}
-
 }  // namespace
 
 void bind_ik(nb::module_& m) {
@@ -225,9 +193,7 @@ void bind_ik(nb::module_& m) {
       .def("solve", exclusively(&solve), "points"_a, "wrists"_a.none(), "postures"_a, "when"_a,
            "margins"_a.none() = nb::none(), "speed"_a = 1.0, "damping_shares"_a.none() = nb::none(),
            "distances"_a = std::vector<DistancesGiven>(), "offsets"_a = std::vector<OffsetGiven>(),
-           "rows"_a.none() = nb::none())
-      .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a);
+           "rows"_a.none() = nb::none());
 }
 
 }  // namespace handmap

@@ -37,7 +37,6 @@ void bind_samples(nb::module_& m) {
            },
            "points"_a, "wrist"_a.none())
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
-      .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<PalmMap>(m, "PalmMap")
       .def("__init__",
