@@ -143,6 +143,17 @@ class PointDistances:
 
     def __init__(self, distances: bytes) -> None: ...
 
+Distances = tuple[PointDistances, Array, Array]
+"""Pairs of points, their wanted distances, and the weight of each."""
+
+Offset = tuple[Sequence[int], Array, Array, float]
+"""Joints and places of two points, the wanted offset, and its weight."""
+
+def task_rows(
+    tree: Tree, q: Array, task: Distances | Offset
+) -> tuple[Array, Array, Array]:
+    """Return residual, Jacobian and damping of a task in a configuration; see `TaskRows`."""
+
 Detour = tuple[Array | None, Array, Array, float, float]
 """State of the detour of a hand, to go on with."""
 
@@ -172,8 +183,8 @@ class Ik(Gate):
         margins: Array | None = None,
         speed: float = 1.0,
         damping_shares: Array | None = None,
-        distances: Sequence[tuple[PointDistances, Array, Array]] = [],
-        offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = [],
+        distances: Sequence[Distances] = [],
+        offsets: Sequence[Offset] = [],
         rows: Callable[[Array], Sequence[tuple[Array, Array, Array | float]]]
         | None = None,
     ) -> Step:
@@ -187,8 +198,8 @@ class Ik(Gate):
             margins: Of each pair of shapes.
             speed: Share of the speed limits.
             damping_shares: Of each joint.
-            distances: Tasks with wanted distances and weights.
-            offsets: Joints and places of two points, the wanted offset, and its weight.
+            distances: Tasks of the cost.
+            offsets: Likewise.
             rows: Returns residual, Jacobian and damping of each task of Python in a configuration.
         """
 

@@ -74,22 +74,36 @@ using DistancesGiven = std::tuple<const DistanceTask*, Array, Array>;
 // Joint and place of a point, and of the one that is kept at an offset from it; the offset, its weight.
 using OffsetGiven = std::tuple<Indices, Array, Array, double>;
 
-AimedDistances aimed_of(const Ik& ik, const DistancesGiven& given) {
+AimedDistances aimed_of(const Tree& tree, const DistancesGiven& given) {
   const auto& [task, aims, weights] = given;
   expect(task != nullptr, "no task");
   expect_size(aims, task->first.size(), "distances");
   expect_size(weights, task->first.size(), "weights of distances");
-  expect_joints(ik.tree, task->points);
+  expect_joints(tree, task->points);
   return {task, vector_of(aims), vector_of(weights)};
 }
 
-OffsetTask offset_of(const Ik& ik, const OffsetGiven& given) {
+OffsetTask offset_of(const Tree& tree, const OffsetGiven& given) {
   const auto& [joints, offsets, aim, weight] = given;
   expect(joints.size() == 2, "an offset has two points");
   expect_size(aim, 3, "aim");
   const std::vector<Attached> ends = attached_of(joints, offsets);
-  expect_joints(ik.tree, ends);
+  expect_joints(tree, ends);
   return {ends[0], ends[1], points_of(aim)[0], weight / kLengthUnit};
+}
+
+// Residual, Jacobian and damping of a task in a configuration.
+nb::tuple task_rows(const Tree& tree, const Array& q,
+                    const std::variant<DistancesGiven, OffsetGiven>& task) {
+  expect_size(q, tree.nq, "q");
+  Placed at(tree);
+  at.place(q.data());
+  const DistancesGiven* distances = std::get_if<DistancesGiven>(&task);
+  const TaskRows rows = distances ? rows_of(at, aimed_of(tree, *distances))
+                                  : rows_of(at, offset_of(tree, std::get<OffsetGiven>(task)));
+  const size_t count = static_cast<size_t>(rows.count), size = static_cast<size_t>(tree.size);
+  return nb::make_tuple(array_of(rows.residual), array_of({count, size}, rows.jacobian.data()),
+                        array_of(rows.damping));
 }
 
 // Move the hand; see ik.tasks.Goal.
@@ -110,8 +124,8 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, cons
     expect_size(*damping_shares, ik.tree.joint_columns.size(), "damping_shares");
     goal.damping_shares = vector_of(*damping_shares);
   }
-  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik, each));
-  for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik, each));
+  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik.tree, each));
+  for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik.tree, each));
   if (rows) goal.further = rows_of(ik, *rows);
   expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
   Step step;
@@ -183,6 +197,7 @@ void bind_ik(nb::module_& m) {
              new (self) DistanceTask(task_of(model_of<DistancesModel>(distances)));
            },
            "distances"_a);
+  m.def("task_rows", &task_rows, "tree"_a, "q"_a, "task"_a);
   nb::class_<Ik, Gate>(m, "Ik")
       .def("__init__", &make_ik, "tree"_a, "options"_a, "limits"_a, "pairs"_a.none() = nb::none(),
            "collisions"_a.none() = nb::none())

@@ -16,6 +16,7 @@ from handmap_core.hands import AttachedPoints
 from handmap_core.se3 import Array, frozen
 
 if TYPE_CHECKING:
+    from handmap_core import _core
     from .hand import Hand
 
 
@@ -50,6 +51,11 @@ class PinocchioConfiguration:
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy with data of its own."""
         return type(self), (self._hand,), self.q
+
+    @property
+    def tree(self) -> _core.Tree:
+        """The hand's kinematics, as the core has them."""
+        return self._hand.tree
 
     @property
     def wrist(self) -> pin.SE3:

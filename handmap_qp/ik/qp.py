@@ -192,8 +192,7 @@ class PointIk:
             if type(task) is PointDistances:
                 distances.append((task.core, task.distances, task.weights))
             elif isinstance(task, PointOffset):
-                points = task.points
-                offsets.append((points.joints, points.offsets, task.aim, task.weight))
+                offsets.append(task.core_offset)
             else:
                 others.append(task)
         return self.core.solve(

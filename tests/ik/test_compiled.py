@@ -34,6 +34,7 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.models import encode
 from handmap_qp.reference.daqp_solver import solve_by_daqp
+from handmap_qp.reference.task_rows import distance_rows
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
@@ -186,6 +187,9 @@ def test_a_stop_without_targets_goes_on_in_the_core() -> None:
 
 class Python(PointDistances):
     """The rows of `PointDistances`, written in Python: a class that the core does not know."""
+
+    def linearise(self, hand: Any) -> TaskRows:
+        return distance_rows(self, hand)
 
 
 def test_tasks_in_python_have_the_effect_of_those_in_the_core() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from handmap_core.se3 import Array, cross_matrices
 
 if TYPE_CHECKING:
+    from handmap_core import _core
     from .hand import Hand
 
 
@@ -82,6 +83,10 @@ class Configuration(Protocol):
     @property
     def data(self) -> PlacedJoints:
         """Where the joints are, and how they move; not to be changed."""
+
+    @property
+    def tree(self) -> _core.Tree:
+        """The hand's kinematics, as the core has them."""
 
     @property
     def q(self) -> Array:
