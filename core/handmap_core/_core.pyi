@@ -231,12 +231,16 @@ class LandmarkReader:
 
     def __init__(self, model: bytes) -> None: ...
     def read(self, landmarks: object, wrist: object) -> HumanPose | None: ...
+    def pose_of(self, landmarks: Array, wrist: Array | None) -> HumanPose:
+        """Return the sample of numbers that are checked; without a wrist, it is fitted."""
 
 class JointReader:
     """Turns joint angles into samples of a hand."""
 
     def __init__(self, tree: Tree) -> None: ...
     def read(self, q: object, wrist: object) -> HumanPose | None: ...
+    def pose_of(self, q: Array, wrist: Array) -> HumanPose:
+        """Return the sample of numbers that are checked, also beyond the joints' limits."""
 
 # -- targets of a robot
 

@@ -27,6 +27,20 @@ Pose read_pose(const Array& matrix) {
   return pose_of(matrix.data());
 }
 
+// The sample of numbers that Python has checked.
+HumanPose pose_of_landmarks(const LandmarkReader& reader, const Array& landmarks,
+                            const std::optional<Array>& wrist) {
+  expect_size(landmarks, 3 * kLandmarks, "landmarks");
+  if (!wrist) return reader.read(landmarks.data(), nullptr);
+  const Pose measured = read_pose(*wrist);
+  return reader.read(landmarks.data(), &measured);
+}
+
+HumanPose pose_of_joints(JointReader& reader, const Array& q, const Array& wrist) {
+  expect_size(q, reader.size(), "q");
+  return reader.read(q.data(), read_pose(wrist));
+}
+
 }  // namespace
 
 void bind_samples(nb::module_& m) {
@@ -74,10 +88,12 @@ void bind_samples(nb::module_& m) {
              new (self) LandmarkReader(model_of<LandmarkReaderModel>(model));
            },
            "model"_a)
-      .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
+      .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none())
+      .def("pose_of", &pose_of_landmarks, "landmarks"_a, "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
       .def(nb::init<const Tree&>(), "tree"_a)
-      .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
+      .def("read", &read_joints, "q"_a.none(), "wrist"_a.none())
+      .def("pose_of", &pose_of_joints, "q"_a, "wrist"_a);
   nb::class_<StepViews>(m, "StepViews")
       .def(nb::init<nb::callable, nb::callable, nb::callable, nb::callable>(), "targets"_a, "ik"_a,
            "command"_a, "summary"_a);

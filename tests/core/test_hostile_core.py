@@ -286,7 +286,6 @@ def calls_of(core: Any) -> dict[str, Call]:
         "Ik.solve": (solver.solve, goal),
         "task_rows": (core.task_rows, (tree, motion.q, goal[7][0])),
         "task_rows of an offset": (core.task_rows, (tree, motion.q, goal[8][0])),
-        "smoothstep": (core.smoothstep, (points,)),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
     }
     return (
@@ -373,6 +372,7 @@ def sample_calls(
     table = StepTable(mapper.robot, len(columns.time))
     views = step_views(own_map.targets_of, mapper.robot, mapper.point_ik.gate.links)
     palm = encode(teleoperation.palm_model())
+    palm_map = core.PalmMap(palm)
     joints = load_hand("human")
     return {
         "HumanPose": (core.HumanPose, (points, wrist)),
@@ -411,15 +411,23 @@ def sample_calls(
             core.TeleoperationMap,
             (encode(teleoperation.model), palm),
         ),
+        "PalmMap": (core.PalmMap, (palm,)),
+        "PalmMap.follow": (palm_map.follow, (wrist,)),
+        "PalmMap.person_at": (palm_map.person_at, (wrist,)),
         "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
         "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
         "LandmarkReader.read": (
             reader.read,
             (sample.landmarks, wrist),
         ),
+        "LandmarkReader.pose_of": (reader.pose_of, (sample.landmarks, wrist)),
         "JointReader": (core.JointReader, (core_tree(joints),)),
         "JointReader.read": (
             core.JointReader(core_tree(joints)).read,
+            (joints.rest, wrist),
+        ),
+        "JointReader.pose_of": (
+            core.JointReader(core_tree(joints)).pose_of,
             (joints.rest, wrist),
         ),
     }
