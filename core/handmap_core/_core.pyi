@@ -254,6 +254,42 @@ class PalmMap:
     def person_at(self, wrist: Array) -> Array:
         """Return the palm of a human's wrist in the robot's world, shape (4, 4) both."""
 
+class LedPalm:
+    """A robot's palm, and the person's that leads it."""
+
+    def __init__(self, map: PalmMap, person: Array) -> None:
+        """Take a map, and the person's palm in the robot's world, shape (4, 4)."""
+
+    def turn(self, wrist: Array, share: float) -> Array:
+        """Return the motion that turns the target of a wrist to the person's axes.
+
+        Args:
+            wrist: The target, shape (4, 4).
+            share: Share of the turn, from 0 to 1.
+        """
+    def meeting(
+        self,
+        wrist: Array,
+        other: LedPalm,
+        other_wrist: Array,
+        near: float,
+        together: float,
+    ) -> tuple[Array, Array, Array, float] | None:
+        """Return how this palm and another one are seen from each other as the person's.
+
+        Args:
+            wrist: Target of the wrist, shape (4, 4).
+            other: The other palm.
+            other_wrist: Target of its wrist.
+            near: Distance of the person's palms at which the robot's begin to go by it [m].
+            together: Distance at which they wholly do [m].
+
+        Returns:
+            The motions of both hands' targets, shape (4, 4); offset of the other palm's anchor from
+            this one's [m], shape (3,), and the share of its weight. None for palms that are not
+            near, or go by different alignments.
+        """
+
 class TargetMap:
     """Turns samples into targets, from a reference on."""
 
@@ -548,6 +584,9 @@ def measure_shape(
 def log3(rotation: Array) -> Array: ...
 def exp3(turn: Array) -> Array: ...
 def quat_xyzw(rotation: Array) -> Array: ...
+def smoothstep(x: Array) -> Array:
+    """Go from 0 at 0 to 1 at 1 with no slope at either end, shape (n,)."""
+
 def smallest_gap(
     time: Array, landmarks: Array, median_time: float, percentile: float
 ) -> float: ...

@@ -1,6 +1,7 @@
 // Samples of a human hand to targets and commands of one hand.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
 #include "robot.hpp"
@@ -41,6 +42,17 @@ HumanPose pose_of_joints(JointReader& reader, const Array& q, const Array& wrist
   return reader.read(q.data(), read_pose(wrist));
 }
 
+// The motions of both hands, the offset, and its share of the weight, of palms that meet.
+std::optional<std::tuple<nb::object, nb::object, nb::object, double>> meeting(
+    const LedPalm& first, const Array& first_wrist, const LedPalm& other, const Array& other_wrist,
+    double near, double together) {
+  const std::optional<Meeting> found = meeting_of(
+      {first, other}, {read_pose(first_wrist), read_pose(other_wrist)}, near, together);
+  if (!found) return {};
+  return std::make_tuple(array_of(found->motions[0]), array_of(found->motions[1]),
+                         array_of({3}, &found->aim.x), found->share);
+}
+
 }  // namespace
 
 void bind_samples(nb::module_& m) {
@@ -68,6 +80,18 @@ void bind_samples(nb::module_& m) {
              return array_of(map.person_at(read_pose(wrist)));
            },
            "wrist"_a);
+  nb::class_<LedPalm>(m, "LedPalm")
+      .def("__init__",
+           [](LedPalm* self, const PalmMap& map, const Array& person) {
+             new (self) LedPalm{&map, read_pose(person)};
+           },
+           nb::keep_alive<1, 2>(), "map"_a, "person"_a)
+      .def("turn",
+           [](const LedPalm& palm, const Array& wrist, double share) {
+             return array_of(palm.turn(read_pose(wrist), share));
+           },
+           "wrist"_a, "share"_a)
+      .def("meeting", &meeting, "wrist"_a, "other"_a, "other_wrist"_a, "near"_a, "together"_a);
   nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets_of, "pose"_a);
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__",

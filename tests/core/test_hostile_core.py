@@ -286,6 +286,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         "Ik.solve": (solver.solve, goal),
         "task_rows": (core.task_rows, (tree, motion.q, goal[7][0])),
         "task_rows of an offset": (core.task_rows, (tree, motion.q, goal[8][0])),
+        "smoothstep": (core.smoothstep, (points,)),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
     }
     return (
@@ -373,6 +374,7 @@ def sample_calls(
     views = step_views(own_map.targets_of, mapper.robot, mapper.point_ik.gate.links)
     palm = encode(teleoperation.palm_model())
     palm_map = core.PalmMap(palm)
+    led = core.LedPalm(palm_map, wrist)
     joints = load_hand("human")
     return {
         "HumanPose": (core.HumanPose, (points, wrist)),
@@ -414,6 +416,9 @@ def sample_calls(
         "PalmMap": (core.PalmMap, (palm,)),
         "PalmMap.follow": (palm_map.follow, (wrist,)),
         "PalmMap.person_at": (palm_map.person_at, (wrist,)),
+        "LedPalm": (core.LedPalm, (palm_map, wrist)),
+        "LedPalm.turn": (led.turn, (wrist, 0.5)),
+        "LedPalm.meeting": (led.meeting, (wrist, led, wrist, 0.4, 0.2)),
         "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
         "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
         "LandmarkReader.read": (
