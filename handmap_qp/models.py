@@ -22,7 +22,6 @@ from handmap_core.models import PlaceModel as PlaceModel
 from handmap_core.models import Point as Point
 from handmap_core.models import Points as Points
 from handmap_core.models import Pose as Pose
-from handmap_core.models import Poses as Poses
 from handmap_core.models import RobotHandModel as RobotHandModel
 from handmap_core.models import RobotModel as RobotModel
 from handmap_core.models import Rotation as Rotation

@@ -65,9 +65,7 @@ class Tree:
         samples: int,
         tolerance: float,
     ) -> Array: ...
-    def smallest_distances(
-        self, pairs: PairBounds, q: Array, starts: Sequence[int], most: float
-    ) -> Array: ...
+    def smallest_distances(self, pairs: PairBounds, q: Array, most: float) -> Array: ...
 
 class PairBounds:
     """Pairs of shapes that are kept apart; made of a `PairsModel`."""
@@ -145,6 +143,17 @@ class PointDistances:
 
     def __init__(self, distances: bytes) -> None: ...
 
+Distances = tuple[PointDistances, Array, Array]
+"""Pairs of points, their wanted distances, and the weight of each."""
+
+Offset = tuple[Sequence[int], Array, Array, float]
+"""Joints and places of two points, the wanted offset, and its weight."""
+
+def task_rows(
+    tree: Tree, q: Array, task: Distances | Offset
+) -> tuple[Array, Array, Array]:
+    """Return residual, Jacobian and damping of a task in a configuration; see `TaskRows`."""
+
 Detour = tuple[Array | None, Array, Array, float, float]
 """State of the detour of a hand, to go on with."""
 
@@ -174,8 +183,8 @@ class Ik(Gate):
         margins: Array | None = None,
         speed: float = 1.0,
         damping_shares: Array | None = None,
-        distances: Sequence[tuple[PointDistances, Array, Array]] = [],
-        offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = [],
+        distances: Sequence[Distances] = [],
+        offsets: Sequence[Offset] = [],
         rows: Callable[[Array], Sequence[tuple[Array, Array, Array | float]]]
         | None = None,
     ) -> Step:
@@ -189,19 +198,10 @@ class Ik(Gate):
             margins: Of each pair of shapes.
             speed: Share of the speed limits.
             damping_shares: Of each joint.
-            distances: Tasks with wanted distances and weights.
-            offsets: Joints and places of two points, the wanted offset, and its weight.
+            distances: Tasks of the cost.
+            offsets: Likewise.
             rows: Returns residual, Jacobian and damping of each task of Python in a configuration.
         """
-    def solve_many(
-        self,
-        points: Array,
-        wrists: Array | None,
-        dt: Array,
-        speed: Array,
-        margins: Array | None,
-        postures: Sequence[tuple[float | Array, Array]],
-    ) -> Array: ...
 
 # -- samples of a human hand
 
@@ -211,8 +211,6 @@ class HumanPose:
     def __init__(self, points: Array, wrist: Array | None) -> None: ...
     @property
     def points(self) -> Array: ...
-    @property
-    def in_wrist(self) -> Array: ...
     @property
     def wrist(self) -> Array | None: ...
 
@@ -233,12 +231,16 @@ class LandmarkReader:
 
     def __init__(self, model: bytes) -> None: ...
     def read(self, landmarks: object, wrist: object) -> HumanPose | None: ...
+    def pose_of(self, landmarks: Array, wrist: Array | None) -> HumanPose:
+        """Return the sample of numbers that are checked; without a wrist, it is fitted."""
 
 class JointReader:
     """Turns joint angles into samples of a hand."""
 
     def __init__(self, tree: Tree) -> None: ...
     def read(self, q: object, wrist: object) -> HumanPose | None: ...
+    def pose_of(self, q: Array, wrist: Array) -> HumanPose:
+        """Return the sample of numbers that are checked, also beyond the joints' limits."""
 
 # -- targets of a robot
 
@@ -251,6 +253,42 @@ class PalmMap:
 
     def person_at(self, wrist: Array) -> Array:
         """Return the palm of a human's wrist in the robot's world, shape (4, 4) both."""
+
+class LedPalm:
+    """A robot's palm, and the person's that leads it."""
+
+    def __init__(self, map: PalmMap, person: Array) -> None:
+        """Take a map, and the person's palm in the robot's world, shape (4, 4)."""
+
+    def turn(self, wrist: Array, share: float) -> Array:
+        """Return the motion that turns the target of a wrist to the person's axes.
+
+        Args:
+            wrist: The target, shape (4, 4).
+            share: Share of the turn, from 0 to 1.
+        """
+    def meeting(
+        self,
+        wrist: Array,
+        other: LedPalm,
+        other_wrist: Array,
+        near: float,
+        together: float,
+    ) -> tuple[Array, Array, Array, float] | None:
+        """Return how this palm and another one are seen from each other as the person's.
+
+        Args:
+            wrist: Target of the wrist, shape (4, 4).
+            other: The other palm.
+            other_wrist: Target of its wrist.
+            near: Distance of the person's palms at which the robot's begin to go by it [m].
+            together: Distance at which they wholly do [m].
+
+        Returns:
+            The motions of both hands' targets, shape (4, 4); offset of the other palm's anchor from
+            this one's [m], shape (3,), and the share of its weight. None for palms that are not
+            near, or go by different alignments.
+        """
 
 class TargetMap:
     """Turns samples into targets, from a reference on."""
@@ -273,9 +311,6 @@ class HomogeneousMap(TargetMap):
     def __init__(self, model: bytes) -> None: ...
 
 # -- steps
-
-STATUSES: tuple[str, ...]
-"""Outcomes of a step, in the order of the numbers of a `StepTable`."""
 
 class Step:
     """Where a robot has moved in one sample; see `IkResult`."""
@@ -442,15 +477,11 @@ class SampleClock:
     @property
     def period(self) -> float: ...
     @property
-    def late_count(self) -> int: ...
-    @property
     def rule(self) -> str: ...
     @property
     def elapsed(self) -> float: ...
     @property
     def dt(self) -> float: ...
-    @property
-    def passed(self) -> float: ...
     @property
     def is_idle(self) -> bool: ...
     @property
@@ -493,8 +524,6 @@ class Change:
     def noise(self) -> float: ...
     @property
     def is_mirrored(self) -> bool: ...
-    @property
-    def is_alone(self) -> bool: ...
 
 def change_between(track: Track, sample: Track, dt: float) -> Change: ...
 
@@ -555,6 +584,9 @@ def measure_shape(
 def log3(rotation: Array) -> Array: ...
 def exp3(turn: Array) -> Array: ...
 def quat_xyzw(rotation: Array) -> Array: ...
+def smoothstep(x: Array) -> Array:
+    """Go from 0 at 0 to 1 at 1 with no slope at either end, shape (n,)."""
+
 def smallest_gap(
     time: Array, landmarks: Array, median_time: float, percentile: float
 ) -> float: ...

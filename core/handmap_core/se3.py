@@ -461,6 +461,8 @@ def _has_shape(array: Array, shape: tuple[int | str, ...]) -> bool:
 
 
 def smoothstep(x: ArrayLike) -> Array:
-    """Go smoothly from 0 at 0 to 1 at 1."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
+    """Go smoothly from 0 at 0 to 1 at 1, element by element."""
+    from handmap_core.core import core
+
+    x = np.asarray(x, dtype=float)
+    return core.smoothstep(x).reshape(x.shape)[()]

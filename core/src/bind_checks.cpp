@@ -49,11 +49,9 @@ void bind_clocks(nb::module_& m) {
       .def("advance", &SampleClock::advance, "stamp"_a)
       .def("at", &SampleClock::at, "stamp"_a)
       .def_ro("period", &SampleClock::period)
-      .def_ro("late_count", &SampleClock::late_count)
       .def_prop_ro("rule", [](const SampleClock& now) { return kRuleNames[now.rule]; })
       .def_ro("elapsed", &SampleClock::elapsed)
       .def_ro("dt", &SampleClock::dt)
-      .def_ro("passed", &SampleClock::passed)
       .def_prop_ro("is_idle", &SampleClock::is_idle)
       .def_prop_ro("is_set_back", &SampleClock::is_set_back)
       .def_prop_ro("shortest", &SampleClock::shortest);
@@ -84,8 +82,7 @@ void bind_motion(nb::module_& m) {
       .def_prop_ro("sizes",
                    [](const Moved& moved) { return array_of({kSizes}, moved.change.sizes); })
       .def_prop_ro("noise", [](const Moved& moved) { return moved.change.noise; })
-      .def_prop_ro("is_mirrored", [](const Moved& moved) { return moved.change.is_mirrored; })
-      .def_prop_ro("is_alone", [](const Moved& moved) { return moved.change.is_alone; });
+      .def_prop_ro("is_mirrored", [](const Moved& moved) { return moved.change.is_mirrored; });
   m.def("change_between", &measure_change, "track"_a, "sample"_a, "dt"_a);
 }
 

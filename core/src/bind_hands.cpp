@@ -122,29 +122,20 @@ Tree moved_tree(const Tree& standard, const std::vector<std::string>& joints, co
   return tree;
 }
 
-// See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
-NumpyArray smallest_distances(const Tree& tree, const PairBounds& bounds,
-                              const Array& q, const Indices& starts, double most) {
-  const size_t n = tree.q_indices.size(), columns = starts.size();
+// The least distance of any of the pairs, or `most`, for joint positions (T, n).
+NumpyArray smallest_distances(const Tree& tree, const PairBounds& bounds, const Array& q,
+                              double most) {
+  const size_t n = tree.q_indices.size();
   if (n == 0 || q.size() % n) throw std::invalid_argument("wrong size of q");
-  for (size_t g = 0; g < columns; ++g) {
-    const int end = g + 1 < columns ? starts[g + 1] : static_cast<int>(bounds.pairs.size());
-    if (starts[g] < 0 || starts[g] > end) throw std::invalid_argument("starts must increase");
-  }
   bounds.expect_hand(tree);
-  const size_t rows = q.size() / n;
   Vector found;
   Placed placed(tree);
   SmallestDistances smallest(bounds);
-  for (size_t t = 0; t < rows; ++t) {
-    placed.place(tree.configuration(q.data() + t * n).data());
-    smallest.place(placed);
-    for (size_t g = 0; g < columns; ++g) {
-      const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
-      found.push_back(smallest.among(static_cast<size_t>(starts[g]), to, most));
-    }
+  for (size_t row = 0; row < q.size(); row += n) {
+    placed.place(tree.configuration(q.data() + row).data());
+    found.push_back(smallest.measure(placed, most));
   }
-  return array_of({rows, columns}, found.data());
+  return array_of(found);
 }
 
 }  // namespace
@@ -173,7 +164,7 @@ void bind_hands(nb::module_& m) {
       .def("nearest_posture", &nearest_posture, "targets"_a, "costs"_a, "rest_cost"_a, "start"_a)
       .def("pinching_postures", &pinching_postures, "usual"_a, "joints"_a, "offsets"_a,
            "distances"_a, "weight"_a, "dt"_a, "samples"_a, "tolerance"_a)
-      .def("smallest_distances", &smallest_distances, "pairs"_a, "q"_a, "starts"_a, "most"_a);
+      .def("smallest_distances", &smallest_distances, "pairs"_a, "q"_a, "most"_a);
   nb::class_<PairBounds>(m, "PairBounds")
       .def("__init__",
            [](PairBounds* self, const nb::bytes& pairs) {

@@ -1,4 +1,4 @@
-// Motion of a robot for a goal, sample by sample or many samples at once.
+// Motion of a robot for a goal, sample by sample.
 #include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
@@ -74,22 +74,36 @@ using DistancesGiven = std::tuple<const DistanceTask*, Array, Array>;
 // Joint and place of a point, and of the one that is kept at an offset from it; the offset, its weight.
 using OffsetGiven = std::tuple<Indices, Array, Array, double>;
 
-AimedDistances aimed_of(const Ik& ik, const DistancesGiven& given) {
+AimedDistances aimed_of(const Tree& tree, const DistancesGiven& given) {
   const auto& [task, aims, weights] = given;
   expect(task != nullptr, "no task");
   expect_size(aims, task->first.size(), "distances");
   expect_size(weights, task->first.size(), "weights of distances");
-  expect_joints(ik.tree, task->points);
+  expect_joints(tree, task->points);
   return {task, vector_of(aims), vector_of(weights)};
 }
 
-OffsetTask offset_of(const Ik& ik, const OffsetGiven& given) {
+OffsetTask offset_of(const Tree& tree, const OffsetGiven& given) {
   const auto& [joints, offsets, aim, weight] = given;
   expect(joints.size() == 2, "an offset has two points");
   expect_size(aim, 3, "aim");
   const std::vector<Attached> ends = attached_of(joints, offsets);
-  expect_joints(ik.tree, ends);
+  expect_joints(tree, ends);
   return {ends[0], ends[1], points_of(aim)[0], weight / kLengthUnit};
+}
+
+// Residual, Jacobian and damping of a task in a configuration.
+nb::tuple task_rows(const Tree& tree, const Array& q,
+                    const std::variant<DistancesGiven, OffsetGiven>& task) {
+  expect_size(q, tree.nq, "q");
+  Placed at(tree);
+  at.place(q.data());
+  const DistancesGiven* distances = std::get_if<DistancesGiven>(&task);
+  const TaskRows rows = distances ? rows_of(at, aimed_of(tree, *distances))
+                                  : rows_of(at, offset_of(tree, std::get<OffsetGiven>(task)));
+  const size_t count = static_cast<size_t>(rows.count), size = static_cast<size_t>(tree.size);
+  return nb::make_tuple(array_of(rows.residual), array_of({count, size}, rows.jacobian.data()),
+                        array_of(rows.damping));
 }
 
 // Move the hand; see ik.tasks.Goal.
@@ -110,8 +124,8 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, cons
     expect_size(*damping_shares, ik.tree.joint_columns.size(), "damping_shares");
     goal.damping_shares = vector_of(*damping_shares);
   }
-  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik, each));
-  for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik, each));
+  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik.tree, each));
+  for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik.tree, each));
   if (rows) goal.further = rows_of(ik, *rows);
   expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
   Step step;
@@ -174,38 +188,6 @@ void go_on(Ik& ik, const nb::object& given) {
   ik.detours = std::move(detours);
 }
 
-// Many samples of one goal each, one after the other and without the GIL, from where the hand is.
-// Returns for each sample its configuration, displacement, stop times and status, one after the other.
-NumpyArray solve_many(Ik& ik, const Array& points,
-                                          const std::optional<Array>& wrists, const Array& dt,
-                                          const Array& speed, const std::optional<Array>& margins,
-                                          const Postures& postures) {
-  const size_t count = dt.size(), m = 3 * ik.tree.points.size();
-  expect_size(points, count * m, "points");
-  expect_size(speed, count, "speed");
-  if (wrists) expect_size(*wrists, 16 * count, "wrists");
-  if (ik.tree.parts.size() > 1) throw std::invalid_argument("several hands");
-  Goal goal;
-  goal.points.resize(ik.tree.points.size());
-  goal.postures = postures_of(ik, postures);
-  const Vector kept = margins_of(ik, margins);
-  double* to;
-  NumpyArray numbers = array_of({count * (ik.tree.nq + 2 * ik.tree.size + 1)}, to);
-  nb::gil_scoped_release released;
-  Result result;
-  for (size_t i = 0; i < count; ++i) {
-    const double* from = points.data() + i * m;
-    for (size_t k = 0; k < goal.points.size(); ++k)
-      goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
-    if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
-    ik.solve(goal, When::after(dt.data()[i]), kept, speed.data()[i], result);
-    for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
-      to = std::copy(part->begin(), part->end(), to);
-    *to++ = static_cast<double>(result.status);
-  }
-  return numbers;
-}
-
 }  // namespace
 
 void bind_ik(nb::module_& m) {
@@ -215,6 +197,7 @@ void bind_ik(nb::module_& m) {
              new (self) DistanceTask(task_of(model_of<DistancesModel>(distances)));
            },
            "distances"_a);
+  m.def("task_rows", &task_rows, "tree"_a, "q"_a, "task"_a);
   nb::class_<Ik, Gate>(m, "Ik")
       .def("__init__", &make_ik, "tree"_a, "options"_a, "limits"_a, "pairs"_a.none() = nb::none(),
            "collisions"_a.none() = nb::none())
@@ -225,9 +208,7 @@ void bind_ik(nb::module_& m) {
       .def("solve", exclusively(&solve), "points"_a, "wrists"_a.none(), "postures"_a, "when"_a,
            "margins"_a.none() = nb::none(), "speed"_a = 1.0, "damping_shares"_a.none() = nb::none(),
            "distances"_a = std::vector<DistancesGiven>(), "offsets"_a = std::vector<OffsetGiven>(),
-           "rows"_a.none() = nb::none())
-      .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a);
+           "rows"_a.none() = nb::none());
 }
 
 }  // namespace handmap

@@ -164,6 +164,11 @@ void bind_measures(nb::module_& m) {
     const Quat q = quat_of(matrix_of(rotation));
     return array_of(Vector{q.x, q.y, q.z, q.w});
   }, "rotation"_a);
+  m.def("smoothstep", [](const Array& x) {
+    Vector shares = vector_of(x);
+    for (double& each : shares) each = smoothstep(each);
+    return array_of(shares);
+  }, "x"_a);
   m.def("smallest_gap", &smallest_gap_of, "time"_a, "landmarks"_a, "median_time"_a,
         "percentile"_a);
   m.def("log_size", [](const Array& landmarks) { return own_distances(landmarks).log_size(); },

@@ -1,6 +1,7 @@
 // Samples of a human hand to targets and commands of one hand.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
 #include "robot.hpp"
@@ -27,6 +28,31 @@ Pose read_pose(const Array& matrix) {
   return pose_of(matrix.data());
 }
 
+// The sample of numbers that Python has checked.
+HumanPose pose_of_landmarks(const LandmarkReader& reader, const Array& landmarks,
+                            const std::optional<Array>& wrist) {
+  expect_size(landmarks, 3 * kLandmarks, "landmarks");
+  if (!wrist) return reader.read(landmarks.data(), nullptr);
+  const Pose measured = read_pose(*wrist);
+  return reader.read(landmarks.data(), &measured);
+}
+
+HumanPose pose_of_joints(JointReader& reader, const Array& q, const Array& wrist) {
+  expect_size(q, reader.size(), "q");
+  return reader.read(q.data(), read_pose(wrist));
+}
+
+// The motions of both hands, the offset, and its share of the weight, of palms that meet.
+std::optional<std::tuple<nb::object, nb::object, nb::object, double>> meeting(
+    const LedPalm& first, const Array& first_wrist, const LedPalm& other, const Array& other_wrist,
+    double near, double together) {
+  const std::optional<Meeting> found = meeting_of(
+      {first, other}, {read_pose(first_wrist), read_pose(other_wrist)}, near, together);
+  if (!found) return {};
+  return std::make_tuple(array_of(found->motions[0]), array_of(found->motions[1]),
+                         array_of({3}, &found->aim.x), found->share);
+}
+
 }  // namespace
 
 void bind_samples(nb::module_& m) {
@@ -37,7 +63,6 @@ void bind_samples(nb::module_& m) {
            },
            "points"_a, "wrist"_a.none())
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
-      .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<PalmMap>(m, "PalmMap")
       .def("__init__",
@@ -55,6 +80,18 @@ void bind_samples(nb::module_& m) {
              return array_of(map.person_at(read_pose(wrist)));
            },
            "wrist"_a);
+  nb::class_<LedPalm>(m, "LedPalm")
+      .def("__init__",
+           [](LedPalm* self, const PalmMap& map, const Array& person) {
+             new (self) LedPalm{&map, read_pose(person)};
+           },
+           nb::keep_alive<1, 2>(), "map"_a, "person"_a)
+      .def("turn",
+           [](const LedPalm& palm, const Array& wrist, double share) {
+             return array_of(palm.turn(read_pose(wrist), share));
+           },
+           "wrist"_a, "share"_a)
+      .def("meeting", &meeting, "wrist"_a, "other"_a, "other_wrist"_a, "near"_a, "together"_a);
   nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets_of, "pose"_a);
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__",
@@ -75,10 +112,12 @@ void bind_samples(nb::module_& m) {
              new (self) LandmarkReader(model_of<LandmarkReaderModel>(model));
            },
            "model"_a)
-      .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
+      .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none())
+      .def("pose_of", &pose_of_landmarks, "landmarks"_a, "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
       .def(nb::init<const Tree&>(), "tree"_a)
-      .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
+      .def("read", &read_joints, "q"_a.none(), "wrist"_a.none())
+      .def("pose_of", &pose_of_joints, "q"_a, "wrist"_a);
   nb::class_<StepViews>(m, "StepViews")
       .def(nb::init<nb::callable, nb::callable, nb::callable, nb::callable>(), "targets"_a, "ik"_a,
            "command"_a, "summary"_a);

@@ -9,9 +9,6 @@ using namespace nb::literals;
 namespace handmap {
 
 void bind_steps(nb::module_& m) {
-  nb::list statuses;
-  for (const char* name : kStatusNames) statuses.append(name);
-  m.attr("STATUSES") = nb::tuple(statuses);
   nb::class_<Step>(m, "Step")
       .def_prop_ro("status", [](const Step& step) { return name_of(step.result.status); })
       .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })

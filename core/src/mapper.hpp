@@ -68,9 +68,8 @@ inline std::optional<HumanPose> read_joints(JointReader* reader, const nb::handl
   const Borrowed angles(q, {static_cast<int>(reader->size())});
   if (!is_plain(angles, reader->size())) return {};
   const std::optional<Pose> pose = plain_pose(wrist);
-  HumanPose found;
-  if (!pose || !reader->read(angles.data, *pose, found)) return {};
-  return found;
+  if (!pose || !reader->is_within_limits(angles.data)) return {};
+  return reader->read(angles.data, *pose);
 }
 
 inline void check_pose(const TargetMap& map, const HumanPose& pose) {

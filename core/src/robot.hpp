@@ -1,8 +1,8 @@
-// Both hands of a person on one robot: see mapping/robot_mapper.py and mapping/two_palms.py.
+// Both hands of a person on one robot: see mapping/robot_mapper.py.
 #pragma once
 
 #include "mapper.hpp"
-#include "handmap/robot_model.hpp"
+#include "handmap/two_palms.hpp"
 
 namespace handmap {
 
@@ -51,13 +51,6 @@ class TargetSource : public SampleReader {
   nb::object python_map_;
   std::shared_ptr<const StepReader> reader_;
 };
-
-// The motion that turns a palm about its anchor to another one's axes.
-inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double share) {
-  const Vec3 centre = palm * anchor;
-  const Mat3 turn = exp3(share * log3(to.R * transposed(palm.R)));
-  return {turn, centre - turn * centre};
-}
 
 // Moves a robot for the requests of its hands.
 class RobotMapper {
@@ -122,7 +115,7 @@ class RobotMapper {
     wanted_rest_ = rest_;
     regularisation_.assign(rest_.size(), 1.0);
     targets_.resize(count);
-    persons_.resize(count);
+    palms_.assign(count, {});
     for (size_t k = 0; k < count; ++k) {
       Targets& targets = targets_[k];
       requests[k]->targets(targets);
@@ -135,8 +128,9 @@ class RobotMapper {
         move_targets(k, world);
       }
       if (const PalmMap* palm = requests[k]->map().palm()) {
-        persons_[k] = world * palm->person_at(requests[k]->pose.wrist);
-        turn(*palm, k, smoothstep(since[k] / model_.turns_in));
+        palms_[k] = {palm, world * palm->person_at(requests[k]->pose.wrist)};
+        const double share = smoothstep(since[k] / model_.turns_in);
+        move_targets(k, palms_[k].turn(targets_[k].wrist, share));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (ik_->tree.fingers[k][i] != 0.0) {
@@ -148,7 +142,7 @@ class RobotMapper {
         margins_.at(hands_[k].pinching[i]) =
             targets.margins.empty() ? model_.margin : targets.margins.at(hands_[k].among_own[i]);
     }
-    if (count == 2) bring_together(requests);
+    if (count == 2 && palms_[0].map && palms_[1].map) bring_together();
     for (const Targets& targets : targets_) {
       goal_.points.insert(goal_.points.end(), targets.points.begin(), targets.points.end());
       goal_.wrists.push_back(targets.wrist);
@@ -157,41 +151,24 @@ class RobotMapper {
     }
   }
 
-  // The target of a palm.
-  Pose palm_of(const PalmMap& map, size_t k) const {
-    return targets_[k].wrist * inverse(map.robot_palm_to_wrist);
-  }
-
   void move_targets(size_t k, const Pose& motion) {
     for (Vec3& point : targets_[k].points) point = motion * point;
     targets_[k].wrist = motion * targets_[k].wrist;
   }
 
-  // Turn targets about a palm's anchor to the person's axes, and shift them.
-  void turn(const PalmMap& map, size_t k, double share, const Vec3& shift = {}) {
-    Pose motion = turned(palm_of(map, k), map.robot_anchor, persons_[k], share);
-    motion.p += shift;
-    move_targets(k, motion);
-  }
-
   // Move the targets of near palms to where one is seen from the other as the person's is.
-  void bring_together(const Requests& requests) {
-    const PalmMap *first = requests[0]->map().palm(), *other = requests[1]->map().palm();
-    if (!first || !other) return;
-    const Vec3 apart = persons_[1].p - persons_[0].p;
-    const double gap = norm(apart) / (1.0 + first->further);
-    const double share = smoothstep((model_.near - gap) / (model_.near - model_.together));
-    if (share == 0.0 || !std::equal(first->alignment.m, first->alignment.m + 9, other->alignment.m))
-      return;
-    const Vec3 own =
-        palm_of(*other, 1) * other->robot_anchor - palm_of(*first, 0) * first->robot_anchor;
-    const Vec3 aim = own + share * (apart - own);
-    turn(*first, 0, share, -0.5 * (aim - own));
-    turn(*other, 1, share, 0.5 * (aim - own));
-    goal_.offsets.push_back({{hands_[0].palm_joint, hands_[0].palm * first->robot_anchor},
-                             {hands_[1].palm_joint, hands_[1].palm * other->robot_anchor},
-                             aim,
-                             model_.together_share * share * ik_->weights.wrist_position});
+  void bring_together() {
+    const std::optional<Meeting> meeting =
+        meeting_of({palms_[0], palms_[1]}, {targets_[0].wrist, targets_[1].wrist}, model_.near,
+                   model_.together);
+    if (!meeting) return;
+    Attached ends[2];
+    for (size_t k = 0; k < 2; ++k) {
+      move_targets(k, meeting->motions[k]);
+      ends[k] = {hands_[k].palm_joint, hands_[k].palm * palms_[k].map->robot_anchor};
+    }
+    goal_.offsets.push_back({ends[0], ends[1], meeting->aim,
+                             model_.together_share * meeting->share * ik_->weights.wrist_position});
   }
 
   // The stages of one hand.
@@ -219,9 +196,9 @@ class RobotMapper {
   const std::vector<RobotHandModel>& hands_;
   const Vector rest_;
   Vector margins_;
-  // Targets of each hand, the person's palms in the robot's world, and the goal of the QP.
+  // Targets and palm of each hand, and the goal of the QP.
   std::vector<Targets> targets_;
-  std::vector<Pose> persons_;
+  std::vector<LedPalm> palms_;  // without a map where a method leads none
   Vector wanted_rest_, regularisation_;
   Goal goal_;
 };

@@ -584,13 +584,12 @@ def touching_distances(pads: Sequence[Pad]) -> Array:
     return np.array([pads[0].radius + pad.radius for pad in pads[1:]])
 
 
-def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:
-    """Move a hand from rest for a task.
+def approach(ik: PointIk, task: PointDistances) -> Array:
+    """Move a hand from rest for a task, by one solution of the QP.
 
     Args:
         ik: The hand and weights of the QP.
         task: The task.
-        steps: Most QP solutions; fewer if the distances that have a weight are reached before.
 
     Returns:
         Joint positions there [rad or m], shape (n,).
@@ -598,12 +597,6 @@ def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:
     hand = ik.hand
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
-    targets = placed.points
     wrist = placed.wrist.homogeneous
-    for _ in range(steps):
-        ik.solve(targets, wrist, _UNHURRIED, tasks=[task])
-        places = task.points.positions(ik.configuration)
-        errors = np.abs(lengths(places[1:] - places[0]) - task.distances)
-        if errors[task.weights > 0.0].max() < _TOUCHING:
-            break
+    ik.solve(placed.points, wrist, _UNHURRIED, tasks=[task])
     return ik.gate.motion.q[hand.q_indices]

@@ -8,6 +8,7 @@ Human Hand Movements onto Robotic Hands*, ICRA 2014. In the order in which a sam
     targets                both parts imposed on the robot's points (eq. 7)
     teleoperation_targets  what `teleoperation` adds to that
     problem                the cost of the QP in place of eq. (8), over Pinocchio
+    task_rows              what distances between points add to it
     mink_problem           the same cost, built by mink
     daqp_solver, solvers   solvers of QPs: DAQP, and all that qpsolvers finds
     inverse_kinematics     the iterations of a sample, through the gate of the robot

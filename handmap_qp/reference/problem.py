@@ -15,6 +15,7 @@ from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array, frozen, lengths, transform_points
 from handmap_qp.hands import Hand, PinocchioConfiguration
 from handmap_qp.ik import IkOptions, JointPositions, TaskRows
+from .task_rows import task_rows
 
 
 @lru_cache(maxsize=16)
@@ -91,7 +92,7 @@ def cost_rows(
     every = slice(None)
     postures = [JointPositions(hand, every, q, weight) for weight, q in goal.postures]
     tasks = *postures, *goal.tasks
-    return [*terms, *(task.linearise(configuration) for task in tasks)]
+    return [*terms, *(task_rows(task, configuration) for task in tasks)]
 
 
 def squared_damping(hand: Hand, options: IkOptions, goal: Goal, size: int) -> Array:

@@ -15,7 +15,6 @@ from handmap_core.se3 import (
     affine,
     inverse_pose,
     lengths,
-    smoothstep,
     transform_points,
 )
 from handmap_qp.mapping import HumanPose, MotionEstimate, Targets
@@ -91,7 +90,8 @@ def pinch_shares(model: TeleoperationModel, gaps: Array) -> Array:
 
     It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
     """
-    return smoothstep((model.pinch_from - gaps) / model.pinch_over)
+    x = np.clip((model.pinch_from - gaps) / model.pinch_over, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
 
 
 def contact_margins(model: TeleoperationModel, gaps: Array) -> Array:

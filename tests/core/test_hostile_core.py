@@ -204,8 +204,6 @@ def calls_of(core: Any) -> dict[str, Call]:
         """Return the rows of the next command: those of a former one are refused."""
         return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
 
-    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
-    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
     calls: dict[str, Call] = {
         "measure_shape": (
             core.measure_shape,
@@ -250,7 +248,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "Tree.smallest_distances": (
             tree.smallest_distances,
-            (bounds.core, robot.rest[None], [0, 3], 1.0),
+            (bounds.core, robot.rest[None], 1.0),
         ),
         "PairBounds": (core.PairBounds, (encode(bounds.model()),)),
         "PointDistances": (core.PointDistances, (encode(task.model()),)),
@@ -286,7 +284,9 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "Ik.hold": (solver.hold, (dt,)),
         "Ik.solve": (solver.solve, goal),
-        "Ik.solve_many": (solver.solve_many, solve_many),
+        "task_rows": (core.task_rows, (tree, motion.q, goal[7][0])),
+        "task_rows of an offset": (core.task_rows, (tree, motion.q, goal[8][0])),
+        "smoothstep": (core.smoothstep, (points,)),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
     }
     return (
@@ -373,6 +373,8 @@ def sample_calls(
     table = StepTable(mapper.robot, len(columns.time))
     views = step_views(own_map.targets_of, mapper.robot, mapper.point_ik.gate.links)
     palm = encode(teleoperation.palm_model())
+    palm_map = core.PalmMap(palm)
+    led = core.LedPalm(palm_map, wrist)
     joints = load_hand("human")
     return {
         "HumanPose": (core.HumanPose, (points, wrist)),
@@ -411,15 +413,26 @@ def sample_calls(
             core.TeleoperationMap,
             (encode(teleoperation.model), palm),
         ),
+        "PalmMap": (core.PalmMap, (palm,)),
+        "PalmMap.follow": (palm_map.follow, (wrist,)),
+        "PalmMap.person_at": (palm_map.person_at, (wrist,)),
+        "LedPalm": (core.LedPalm, (palm_map, wrist)),
+        "LedPalm.turn": (led.turn, (wrist, 0.5)),
+        "LedPalm.meeting": (led.meeting, (wrist, led, wrist, 0.4, 0.2)),
         "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
         "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
         "LandmarkReader.read": (
             reader.read,
             (sample.landmarks, wrist),
         ),
+        "LandmarkReader.pose_of": (reader.pose_of, (sample.landmarks, wrist)),
         "JointReader": (core.JointReader, (core_tree(joints),)),
         "JointReader.read": (
             core.JointReader(core_tree(joints)).read,
+            (joints.rest, wrist),
+        ),
+        "JointReader.pose_of": (
+            core.JointReader(core_tree(joints)).pose_of,
             (joints.rest, wrist),
         ),
     }

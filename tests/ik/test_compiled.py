@@ -15,7 +15,6 @@ from marks import crossed
 from scipy.optimize import nnls
 
 from handmap_core.core import core
-from handmap_core.ik.gate import IkGate
 from handmap_core.ik.motion import Motion
 from handmap_qp import (
     AttachedPoints,
@@ -31,11 +30,11 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.hands.collision_shapes import shape_model
-from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.models import encode
 from handmap_qp.reference.daqp_solver import solve_by_daqp
+from handmap_qp.reference.task_rows import distance_rows
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
@@ -174,33 +173,6 @@ def test_shares_of_rest_and_damping_mean_the_same_in_the_core() -> None:
     assert np.abs(in_core - moved("compiled", None)).max() > 1e-3
 
 
-@pytest.mark.parametrize("has_wrist", [True, False], ids=["wrist", "free"])
-def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
-    hand = load_hand("allegro_right")
-    shapes = all_pairs(hand)
-    ik = PointIk(hand, IkOptions(max_acceleration=25.0), contacts=shapes)
-    rng = np.random.default_rng(2)
-    count = 150
-    points = ik.configuration.points + rng.normal(scale=0.05, size=(count, 4, 3))
-    wrists = np.tile(ik.configuration.wrist.homogeneous, (count, 1, 1))
-    wrists[:, :3, 3] += rng.normal(scale=0.1, size=(count, 3))
-    dt = 10.0 ** rng.uniform(-3, -1, count)
-    speed = rng.uniform(0.1, 1.0, count)
-    margins = rng.uniform(0.0, 0.004, len(shapes.fingers))
-    many = IkGate(hand, ik.gate.motion, ik.options, ik.gate.collisions).core
-    numbers = many.solve_many(
-        points, wrists if has_wrist else None, dt, speed, margins, ik.postures(1, None)
-    ).reshape(count, -1)
-    for i, row in enumerate(numbers):
-        wrist = wrists[i] if has_wrist else None
-        ik.solve(points[i], wrist, dt[i], margins=margins, speed=speed[i])
-        motion = ik.gate.motion
-        expected = np.concatenate([motion.q, motion.displacement, motion.stop_times])
-        np.testing.assert_array_equal(row[:-1], expected)
-    with pytest.raises(ValueError, match="wrong size of speed"):
-        many.solve_many(points, None, dt, speed[1:], None, [])
-
-
 def test_a_stop_without_targets_goes_on_in_the_core() -> None:
     hand = load_hand("allegro_right")
     ik = PointIk(hand, IkOptions(max_acceleration=30.0))
@@ -215,6 +187,9 @@ def test_a_stop_without_targets_goes_on_in_the_core() -> None:
 
 class Python(PointDistances):
     """The rows of `PointDistances`, written in Python: a class that the core does not know."""
+
+    def linearise(self, hand: Any) -> TaskRows:
+        return distance_rows(self, hand)
 
 
 def test_tasks_in_python_have_the_effect_of_those_in_the_core() -> None:

@@ -9,13 +9,19 @@ import pinocchio as pin
 import pytest
 from ik_cases import HANDS, hand_of, random_cases
 
-from handmap_core.ik.tasks import AttachedPoints, PointDistances, TaskRows
+from handmap_core.ik.tasks import (
+    AttachedPoints,
+    PointDistances,
+    PointOffset,
+    TaskRows,
+)
 from handmap_qp import HandMapper, IkOptions, InvalidInputError, MapStep, load_hand
 from handmap_qp.hands import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 from handmap_qp.reference.solvers import make_solver
+from handmap_qp.reference.task_rows import task_rows
 
 SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
 SOME = [
@@ -64,6 +70,37 @@ def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
                 values.append(task.linearise(configuration).residual[:2])
             slope = (values[0] - values[1]) / (2.0 * step)
             np.testing.assert_allclose(slope, jacobian[:, column], atol=1e-4)
+
+
+@each_hand
+def test_the_rows_of_the_core_are_those_over_pinocchio(which: Any) -> None:
+    hand = hand_of(which)
+    points = AttachedPoints.reference_points(hand)
+    pairs = [(0, 1), (2, 0), (1, 2)]
+    # The last pair has no weight.
+    task = PointDistances(points, pairs, [0.02, 0.2, 0.05], [8.0, 3.0, 0.0])
+    ends = AttachedPoints(
+        hand, [*zip(points.joints[:2], points.offsets[:2], strict=True)]
+    )
+    offset = PointOffset(ends, np.array([0.1, -0.2, 0.05]), 6.0)
+    configuration = hand.configuration()
+    for case in random_cases(hand, 5, seed=9, is_inside=True):
+        configuration.place(case.q)
+        for each in (task, offset):
+            rows = each.linearise(configuration)
+            expected = task_rows(each, configuration)
+            count = min(3, len(rows.residual))
+            for part in ("residual", "jacobian"):
+                given, wanted = getattr(rows, part), getattr(expected, part)
+                np.testing.assert_allclose(given[:count], wanted[:count], atol=1e-9)
+            # The other rows may come in another order.
+            np.testing.assert_allclose(
+                *(each.jacobian.T @ each.jacobian for each in (rows, expected)),
+                rtol=1e-9,
+                atol=1e-6,
+            )
+            wanted = np.broadcast_to(expected.damping, configuration.nv)
+            np.testing.assert_allclose(rows.damping, wanted, rtol=1e-9, atol=1e-9)
 
 
 def curvature(task: PointDistances, configuration: Configuration) -> np.ndarray:

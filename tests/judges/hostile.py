@@ -14,15 +14,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
 from checker import SHORTEST, Checker
 
-from handmap_core.ik.gate import IkGate
-from handmap_core.ik.motion import SHORTEST_DT, Motion
-from handmap_core.ik.result import Status
+from handmap_core.ik.motion import Motion
 from handmap_qp import (
     HandmapError,
     HandMapper,
@@ -66,7 +64,6 @@ LIMITS = (None, 1.0, 10.0, 100.0)
 MARGINS = (-0.001, 0.006)
 """Least and largest margin of a pair of shapes [m]."""
 _BATCH, _STRETCH, _TRIES = 200, 20, 30
-_STATUSES = get_args(Status)
 
 
 @dataclass(slots=True)
@@ -133,7 +130,7 @@ class Tally:
 
 
 class IkRun:
-    """Steps of the inverse kinematics on one hand, many a call.
+    """Steps of the inverse kinematics on one hand.
 
     Stretches of steps go to one place each: to a random posture, to one point of all fingers,
     turned inside out, or far away, with noise of every size. Between batches the acceleration limit
@@ -166,7 +163,7 @@ class IkRun:
         self.ik = PointIk(hand, options, contacts=shapes)
         self.checker, self._shapes = Checker(hand, shapes, paths), shapes
         self._limits = limits or (options.max_acceleration,)
-        self._iks = {options.max_acceleration: (self.ik, self._compile(self.ik))}
+        self._iks = {options.max_acceleration: self.ik}
         self._place()
 
     def advance(self, count: int, tally: Tally) -> None:
@@ -207,39 +204,17 @@ class IkRun:
         margins: np.ndarray | None,
     ) -> tuple[np.ndarray, list[str]]:
         """Return configurations, shape (T, nq), and statuses of many samples."""
-        ik, core = self._iks[self.ik.options.max_acceleration]
-        if not ik.is_compiled:
-            found = [
-                ik.solve(
-                    points[i],
-                    None if wrists is None else wrists[i],
-                    dt[i],
-                    margins=margins,
-                    speed=speed[i],
-                )
-                for i in range(len(dt))
-            ]
-            return np.array([each.q for each in found]), [each.status for each in found]
-        before = ik.gate.motion
-        core.set_motion(*before)
-        postures = ik.postures(1.0, None)
-        numbers = core.solve_many(points, wrists, dt, speed, margins, postures)
-        n = ik.gate.limits.size
-        q, displacements, times, statuses = np.split(
-            numbers.reshape(len(dt), -1), np.cumsum([self._hand.model.nq, n, n]), axis=1
-        )
-        ik.gate.motion = Motion(
-            q[-1].copy(),
-            displacements[-1].copy(),
-            max(float(dt[-1]), SHORTEST_DT),
-            times[-1].copy(),
-            before.time + float(np.maximum(dt, SHORTEST_DT).sum()),
-        )
-        return q, [_STATUSES[int(status)] for status in statuses[:, 0]]
-
-    def _compile(self, ik: PointIk) -> Any:
-        # Another one than that of `PointIk`, which goes on without the guesses of this one.
-        return IkGate(ik.hand, ik.gate.motion, ik.options, ik.gate.collisions).core
+        found = [
+            self.ik.solve(
+                points[i],
+                None if wrists is None else wrists[i],
+                dt[i],
+                margins=margins,
+                speed=speed[i],
+            )
+            for i in range(len(dt))
+        ]
+        return np.array([each.q for each in found]), [each.status for each in found]
 
     def _interrupt(self) -> None:
         rng = self._rng
@@ -260,9 +235,10 @@ class IkRun:
         before = self.ik.gate.motion
         if limit not in self._iks:
             options = self.ik.options.replaced(max_acceleration=limit)
-            ik = PointIk(self.ik.hand, options, before, contacts=self._shapes)
-            self._iks[limit] = ik, self._compile(ik)
-        self.ik = self._iks[limit][0]
+            self._iks[limit] = PointIk(
+                self.ik.hand, options, before, contacts=self._shapes
+            )
+        self.ik = self._iks[limit]
         self.ik.gate.motion = before
 
     def _place(self) -> None:

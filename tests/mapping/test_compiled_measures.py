@@ -39,14 +39,23 @@ def _points_in_palm(
 
 
 def _pinches(fingers: hand_pair.RobotFingers) -> Array:
-    ik = PointIk(fingers.hand, hand_pair._PINCHING.replaced(formulation="direct"))
-    task = hand_pair.gap_task(fingers.hand, [*fingers.pads.values()])
-    postures = [
-        hand_pair.approach(
-            ik, task.aimed_at(task.distances, row), hand_pair._PINCH_STEPS
-        )
-        for row in np.diag(task.weights)
-    ]
+    """Pinch with each finger in turn, by QPs over Pinocchio until the pads touch."""
+    hand = fingers.hand
+    ik = PointIk(hand, hand_pair._PINCHING.replaced(formulation="direct"))
+    task = hand_pair.gap_task(hand, [*fingers.pads.values()])
+    postures = []
+    for finger, row in enumerate(np.diag(task.weights)):
+        aimed = task.aimed_at(task.distances, row)
+        ik.place(hand.configuration_vector(hand.rest))
+        targets = ik.configuration.points
+        wrist = ik.configuration.wrist.homogeneous
+        for _ in range(hand_pair._PINCH_STEPS):
+            ik.solve(targets, wrist, hand_pair._UNHURRIED, tasks=[aimed])
+            thumb, *tips = task.points.positions(ik.configuration)
+            apart = np.linalg.norm(tips[finger] - thumb)
+            if abs(apart - task.distances[finger]) < hand_pair._TOUCHING:
+                break
+        postures.append(ik.gate.motion.q[hand.q_indices])
     return np.array(postures)
 
 

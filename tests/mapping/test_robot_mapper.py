@@ -223,7 +223,7 @@ def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
             part = step.hands[side]
             np.testing.assert_array_equal(part.ik.points, other.hands[side].ik.points)
             np.testing.assert_array_equal(hand.request.pose.wrist, wrists[side])
-            assert hand.since == in_turn.hands[side].since
+            assert hand.state.since == in_turn.hands[side].state.since
     given = attrgetter("joints"), q, wrists, DT
     assert isinstance(at_once._mapped_in_core(*given), RobotStep)
     # Python says what is wrong with the others.
@@ -292,11 +292,11 @@ def test_palms_turn_to_the_persons_soon_after_a_reference(
         np.testing.assert_allclose(*ends, atol=2e-3)
         assert np.abs(person[:3, :3] - before[:3, :3]).max() > 0.5
         if turns_in < 1.0:
-            assert hand.since > 1.0
+            assert hand.state.since > 1.0
     mapper.clutch()
     again = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
     np.testing.assert_allclose(again, palms(step, pair), atol=1e-2)
-    assert all(hand.since == DT for hand in mapper.hands.values())
+    assert all(hand.state.since == DT for hand in mapper.hands.values())
 
 
 def test_crossing_hands_do_not_overlap(g1: Hand) -> None:
@@ -418,14 +418,14 @@ def test_time_since_a_reference_begins_there(g1: Hand) -> None:
     for i in range(150):
         follower.map_samples(samples_of(i, "right"))
     hands = follower.mapper.hands
-    assert hands["left"].since > 2.0
-    assert hands["right"].since == 0.0
+    assert hands["left"].state.since > 2.0
+    assert hands["right"].state.since == 0.0
     base = np.eye(4)
     base[0, 3] = 0.5
     follower.mapper.base_pose = base
     follower.map_samples(samples_of(150))
-    assert 0.0 < hands["right"].since < 0.1
-    np.testing.assert_array_equal(hands["right"].base, base)
+    assert 0.0 < hands["right"].state.since < 0.1
+    np.testing.assert_array_equal(hands["right"].state.base, base)
 
 
 def test_a_step_takes_the_time_of_the_samples_that_it_has(g1: Hand) -> None:

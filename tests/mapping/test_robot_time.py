@@ -418,7 +418,7 @@ def test_each_hand_counts_the_time_since_its_own_sample(g1: Hand) -> None:
     assert left.request.dt == pytest.approx(1.0 / 60.0, rel=0.2)
     assert right.request.dt == pytest.approx(1.0 / 20.0, rel=0.2)
     # Palms turn as soon at any rate.
-    assert left.since == pytest.approx(right.since, abs=0.06)
+    assert left.state.since == pytest.approx(right.state.since, abs=0.06)
 
 
 def test_a_stop_between_samples_takes_its_time_from_them(g1: Hand) -> None:

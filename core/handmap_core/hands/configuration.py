@@ -11,6 +11,7 @@ import numpy as np
 from handmap_core.se3 import Array, cross_matrices, frozen
 
 if TYPE_CHECKING:
+    from handmap_core import _core
     from .hand import Hand
 
 
@@ -90,6 +91,10 @@ class PlacedModel(Protocol):
 
 class Configuration(PlacedModel, Protocol):
     """One posture of a hand, with its reference points; at first a neutral one."""
+
+    @property
+    def tree(self) -> _core.Tree:
+        """The hand's kinematics, as the core has them."""
 
     @property
     def q(self) -> Array:
@@ -209,6 +214,11 @@ class PlacedHand(Generic[Joints_co]):
         self._points = AttachedPoints.reference_points(hand)
         ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
         self.parts = [*map(slice, [0, *ends], ends)]
+
+    @property
+    def tree(self) -> _core.Tree:
+        """The hand's kinematics, as the core has them."""
+        return self._hand.tree
 
     @property
     def nv(self) -> int:

@@ -151,8 +151,7 @@ class PointIk(Generic[Kept]):
             if type(task) is PointDistances:
                 distances.append((task.core, task.distances, task.weights))
             elif isinstance(task, PointOffset):
-                points = task.points
-                offsets.append((points.joints, points.offsets, task.aim, task.weight))
+                offsets.append(task.core_offset)
             else:
                 others.append(task)
         step = self.core.solve(

@@ -29,15 +29,11 @@ from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.hands import AttachedPoints, Configuration, Hand
 from handmap_core.models import DistancesModel, encode
 from handmap_core.plugins import Plugins
-from handmap_core.se3 import Array, as_floats, lengths
-from .options import LENGTH_UNIT
+from handmap_core.se3 import Array, as_floats
 
 if TYPE_CHECKING:
     from handmap_core import _core
     from .motion import When
-
-_SHORTEST = 1e-9
-"""Distance below which two points have no direction from one to the other [m]."""
 
 
 class TaskRows(NamedTuple):
@@ -182,35 +178,9 @@ class PointDistances:
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row a pair, and three a pair of its curvature; see `Task.linearise`.
-
-        The core has these rows itself. These are for subclasses and other formulations.
-        """
-        positions = self.points.positions(hand)
-        offsets = positions[self.first] - positions[self.second]
-        apart = np.maximum(lengths(offsets), _SHORTEST)
-        # Points in one place have no direction: any will do to part them.
-        offsets[apart == _SHORTEST] = 0.0, 0.0, _SHORTEST
-        directions = (offsets / apart[:, None])[:, None]
-        # What moves both, such as a wrist, leaves their distance.
-        moves_one = self.points.moved[self.first] != self.points.moved[self.second]
-        columns = self.points.velocities(hand)
-        levers = (columns[self.first] - columns[self.second]) * moves_one
-        levers = hand.contracted(levers)
-        turns = hand.contracted(hand.data.J[3:] * moves_one)
-        weights = self.weights / LENGTH_UNIT
-        residual = weights * (apart - self.distances)
-        force = weights * residual
-        slopes = directions @ levers
-        # The second derivatives: of the offset's length, and of the offset along itself.
-        pulls = np.sqrt(np.maximum(force / apart, 0.0))[:, None, None]
-        across = pulls * (levers - directions.swapaxes(1, 2) * slopes)
-        bends = (directions @ np.cross(turns, levers, axis=1))[:, 0]
-        bends = np.maximum(force[:, None] * bends, 0.0)
-        rows = np.vstack([weights[:, None] * slopes[:, 0], *across.swapaxes(0, 1)])
-        return TaskRows(
-            np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
-        )
+        """Return a row a pair, then three a pair of its curvature; see `Task.linearise`."""
+        task = self.core, self.distances, self.weights
+        return TaskRows(*core.task_rows(hand.tree, hand.q, task))
 
 
 class PointOffset(NamedTuple):
@@ -226,13 +196,14 @@ class PointOffset(NamedTuple):
     aim: Array
     weight: float
 
+    @property
+    def core_offset(self) -> _core.Offset:
+        """The task as the core takes it."""
+        return self.points.joints, self.points.offsets, self.aim, self.weight
+
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row an axis; see `PointDistances.linearise`."""
-        positions = self.points.positions(hand)
-        first, other = self.points.jacobians(hand)
-        weight = self.weight / LENGTH_UNIT
-        residual = weight * (positions[1] - positions[0] - self.aim)
-        return TaskRows(residual, weight * (other - first))
+        """Return a row an axis; see `Task.linearise`."""
+        return TaskRows(*core.task_rows(hand.tree, hand.q, self.core_offset))
 
 
 class JointPositions(NamedTuple):

@@ -1,7 +1,8 @@
 """Readers: what was measured on a human hand becomes a sample of it.
 
 `LandmarkReader` takes the landmarks of a tracker, `JointReader` joint angles (eq. 4). The core
-reads numbers that are as they should be. Python reads the others, and says what is wrong with them.
+reads them. Python checks numbers that the core does not take as they are, converts them, and says
+what is wrong with them.
 """
 
 from __future__ import annotations
@@ -30,8 +31,6 @@ from handmap_core.se3 import (
     as_floats,
     as_points,
     check_pose,
-    rigid_fit,
-    transform_points,
 )
 from .targets import HumanPose
 
@@ -98,14 +97,13 @@ class LandmarkReader:
         Raises:
             InvalidInputError: If a coordinate is not finite, or `wrist` is not a pose.
         """
-        if self.core and (pose := self.core.read(landmarks, wrist)):
-            return HumanPose.of_core(pose), ()
-        points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
-        if wrist is None:
-            wrist = rigid_fit(self.model.palm, points[PALM], self.model.weights)
-        else:
-            wrist = check_pose(wrist, "wrist_pose", self.quat_order)
-        return HumanPose(points[self.model.used], wrist), ()
+        pose = self.core.read(landmarks, wrist)
+        if pose is None:
+            points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
+            if wrist is not None:
+                wrist = check_pose(wrist, "wrist_pose", self.quat_order)
+            pose = self.core.pose_of(points, wrist)
+        return HumanPose.of_core(pose), ()
 
 
 class JointReader:
@@ -117,7 +115,7 @@ class JointReader:
         quat_order: Order of the quaternion in wrist poses of seven numbers.
 
     Attributes:
-        core: The reader of the core; None for a hand with joints that follow others.
+        core: The reader of the core.
     """
 
     def __init__(
@@ -126,7 +124,7 @@ class JointReader:
         self.human = human
         self.tolerance = tolerance
         self.quat_order = quat_order
-        self.core = None if human.rules else core.JointReader(human.tree)
+        self.core = core.JointReader(human.tree)
 
     def __reduce__(
         self,
@@ -146,15 +144,13 @@ class JointReader:
         Raises:
             InvalidInputError: If they cannot be used.
         """
-        if self.core and (pose := self.core.read(q, wrist_pose)):
+        if pose := self.core.read(q, wrist_pose):
             return HumanPose.of_core(pose), ()
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
-        # The wrist is at the origin; points move with it afterwards.
-        placed, _ = human.tree.posture(human.configuration_vector(angles))
         outside = tuple(compress(human.joint_names, excess > 0.0))
-        return HumanPose(transform_points(wrist, placed), wrist), outside
+        return HumanPose.of_core(self.core.pose_of(angles, wrist)), outside
 
 
 def check_joints(

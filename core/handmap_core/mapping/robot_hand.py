@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from handmap_core.core import core
 from handmap_core.hands import Hand
 from handmap_core.ik import Motion, Task, When
-from handmap_core.se3 import Array, PoseLike, frozen
+from handmap_core.se3 import Array, ArrayStruct, PoseLike, frozen
 from .bound_method import BoundMethod
 from .command_time import check_dt, own_time
 from .exclusive import WorkLock, exclusively
@@ -32,15 +32,28 @@ HOME = frozen(np.eye(4))
 """Where a base is that nothing has moved; a copy of it takes longer, and is no different."""
 
 
-class HandState(NamedTuple):
-    """State of a `RobotHand`, whose attributes have the same names."""
+class HandState(ArrayStruct, frozen=True, kw_only=True):
+    """What changes of a `RobotHand` with its samples.
 
-    counted_from: Reference | None
-    core: core.TargetSource | None
+    Attributes:
+        step: The last step: the hand goes on to its request until the next one.
+        since: Time since the hand's reference [s].
+        waited: Time that the robot has moved since the hand's last sample [s].
+        base: Where the robot's base was at the reference, shape (4, 4).
+    """
+
     step: RequestStep
-    since: float
-    waited: float
-    base: Array
+    since: float = 0.0
+    waited: float = 0.0
+    base: Array = HOME
+
+
+class SavedHand(NamedTuple):
+    """State of a hand, its source in the core, and the reference of both."""
+
+    state: HandState
+    core: core.TargetSource | None
+    counted_from: Reference | None
 
 
 Source = TypeVar("Source", bound=TargetSource[Hand, BoundMethod])
@@ -60,12 +73,9 @@ class RobotHand(Generic[Source, AnySolver]):
         source: As given.
         moving_robot: The robot.
         work: As given.
+        state: What changes with its samples.
         core: What makes a request of the next sample in the compiled core; None where Python has
             to look at it.
-        step: The last step: the hand goes on to its request until the next one.
-        since: Time since its reference [s].
-        waited: Time that the robot has moved since this hand's last sample [s].
-        base: Where the robot's base was at the reference, shape (4, 4).
     """
 
     def __init__(
@@ -75,10 +85,7 @@ class RobotHand(Generic[Source, AnySolver]):
         self.moving_robot = robot
         self.work = work
         self.core: core.TargetSource | None = None
-        self.since = 0.0
-        self.waited = 0.0
-        self.base = HOME
-        self.step = RequestStep(self._request_to_stay(None))
+        self.state = HandState(step=RequestStep(self._request_to_stay(None)))
 
     @property
     def robot(self) -> Hand:
@@ -93,7 +100,7 @@ class RobotHand(Generic[Source, AnySolver]):
     @property
     def request(self) -> AnyRequest:
         """What the hand asks of the robot."""
-        return self.step.request
+        return self.state.step.request
 
     @property
     def is_staying(self) -> bool:
@@ -201,9 +208,7 @@ class RobotHand(Generic[Source, AnySolver]):
         """Make the next sample of this hand its reference; it goes on to its last request."""
         self.source.engage()
         self.core = None
-        self.since = 0.0
-        self.waited = 0.0
-        self.step = RequestStep(self.request)
+        self.state = HandState(step=RequestStep(self.request), base=self.state.base)
 
     @exclusively
     def clutch(self) -> None:
@@ -214,7 +219,8 @@ class RobotHand(Generic[Source, AnySolver]):
     def stay(self) -> None:
         """Let the hand stay where it is now."""
         request = self._request_to_stay(self.request.targets.margins)
-        self.step = structs.replace(self.step, request=request)
+        step = structs.replace(self.state.step, request=request)
+        self.state = structs.replace(self.state, step=step)
 
     def _request_to_stay(self, margins: Array | None) -> HandRequest:
         """Return a request by which the hand stays where it is now."""
@@ -226,26 +232,13 @@ class RobotHand(Generic[Source, AnySolver]):
 
     # -- for the robot's mapper
 
-    @property
-    def state(self) -> HandState:
-        """All that changes; set it to take back what was done since."""
-        return HandState(
-            self.source.counted_from,
-            self.core,
-            self.step,
-            self.since,
-            self.waited,
-            self.base,
-        )
+    def saved(self) -> SavedHand:
+        """Return what `restore` takes to take back what is done from now on."""
+        return SavedHand(self.state, self.core, self.source.counted_from)
 
-    @state.setter
-    def state(self, state: HandState) -> None:
-        self.source.counted_from = state.counted_from
-        self.core = state.core
-        self.step = state.step
-        self.since = state.since
-        self.waited = state.waited
-        self.base = state.base
+    def restore(self, saved: SavedHand) -> None:
+        """Take back what was done since `saved`."""
+        self.state, self.core, self.source.counted_from = saved
 
     def advance(self, step: RequestStep, base: Array) -> None:
         """Take a step that the robot is to be moved for.
@@ -254,9 +247,13 @@ class RobotHand(Generic[Source, AnySolver]):
             step: The step.
             base: Where the robot's base is, shape (4, 4).
         """
-        self.step = step
-        if self.is_staying:
+        if step.request.map is None:
+            self.state = structs.replace(self.state, step=step)
             return
-        if not self.since:
-            self.base = base
-        self.since += step.request.dt
+        since = self.state.since
+        self.state = structs.replace(
+            self.state,
+            step=step,
+            base=self.state.base if since else base,
+            since=since + step.request.dt,
+        )

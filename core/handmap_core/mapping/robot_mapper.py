@@ -247,25 +247,29 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
         since = []
         for side, hand in self.hands.items():
             # A hand that has stayed begins in Python.
-            was_in_core = isinstance(hand.step.request, core.HandRequest)
+            state = hand.state
+            was_in_core = isinstance(state.step.request, core.HandRequest)
             if hand.core is None or not was_in_core:
                 return None
             reader = reader_of(hand.source).core
-            waited = hand.waited + granted
+            waited = state.waited + granted
             timed = hand.core.map(reader, numbers[side], wrists.get(side), waited)
             if timed is None:
                 return None
             request, _ = timed
             requests.append(request)
-            since.append(hand.since + request.dt)
+            since.append(state.since + request.dt)
         stages, parts = self.core.move(requests, since, self._worlds(), when)
         duration = perf_counter() - started
         for hand, request, time in zip(
             self.hands.values(), requests, since, strict=True
         ):
-            hand.step = RequestStep(request, duration=duration)
-            hand.since = time
-            hand.waited = 0.0
+            hand.state = structs.replace(
+                hand.state,
+                step=RequestStep(request, duration=duration),
+                since=time,
+                waited=0.0,
+            )
         steps = [MapStep(part, duration=duration) for part in parts]
         hands = dict(zip(self.hands, steps, strict=True))
         return RobotStep(stages, duration=duration, hands=hands)
@@ -277,7 +281,8 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
             side: The hand.
             when: When the command is.
         """
-        return self._hand(side).waited + self.point_ik.gate.interval(when).granted
+        waited = self._hand(side).state.waited
+        return waited + self.point_ik.gate.interval(when).granted
 
     @exclusively
     def step(
@@ -315,12 +320,16 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
         for hand in self.hands.values():
             # A hand that stays comes back as with a first sample.
             is_behind = hand not in asking and not hand.is_staying
-            hand.waited = hand.waited + granted if is_behind else 0.0
-            if hand.source.bound.renews_reference:
-                hand.base = self._base
+            state = hand.state
+            is_renewed = hand.source.bound.renews_reference
+            hand.state = structs.replace(
+                state,
+                waited=state.waited + granted if is_behind else 0.0,
+                base=self._base if is_renewed else state.base,
+            )
         duration = perf_counter() - started
         steps = {
-            side: part_step(hand.step, part, duration)
+            side: part_step(hand.state.step, part, duration)
             for (side, hand), part in zip(self.hands.items(), parts, strict=True)
         }
         return whole_step(steps, stages, duration)
@@ -337,14 +346,14 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
                 if isinstance(hand.request, core.HandRequest)
             ]
             if len(of_core) == len(hands):
-                since = [hand.since for hand in hands]
+                since = [hand.state.since for hand in hands]
                 return self.core.move(of_core, since, self._worlds(), when)
         to_base = inverse_pose(self._base)
         apart = [
             aimed(
                 hand.request,
-                to_base @ hand.base,
-                float(smoothstep(hand.since / self.turns_in)),
+                to_base @ hand.state.base,
+                float(smoothstep(hand.state.since / self.turns_in)),
             )
             for hand in hands
         ]
@@ -409,7 +418,8 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
         if self._base is HOME:
             return None
         to_base = inverse_pose(self._base)
-        return np.array([to_base @ hand.base for hand in self.hands.values()])
+        bases = [hand.state.base for hand in self.hands.values()]
+        return to_base @ np.array(bases)
 
     # -- between samples
 
@@ -423,7 +433,8 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
         """
         hand = self._hand(side)
         held = hand.hold(self.moving_robot.usual_dt)
-        hand.step = structs.replace(held, verdict=verdict)
+        step = structs.replace(held, verdict=verdict)
+        hand.state = structs.replace(hand.state, step=step)
 
     @exclusively
     def reset(self, robot_q: ArrayLike | None = None) -> None:
@@ -454,12 +465,12 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
     @contextmanager
     def _unchanged_by_errors(self) -> Iterator[None]:
         """Let an error leave all hands as they were."""
-        before = [(hand, hand.state) for hand in self.hands.values()]
+        before = [(hand, hand.saved()) for hand in self.hands.values()]
         try:
             yield
         except BaseException:
-            for hand, state in before:
-                hand.state = state
+            for hand, saved in before:
+                hand.restore(saved)
             raise
 
     def _hand(self, side: Side) -> RobotHand[Source, AnySolver]:

@@ -1,6 +1,7 @@
 """Where the targets of both hands go: palms turn to the person's, and near ones keep their offset.
 
-The `RobotMapper` of the compiled core has the same for hands that it maps.
+The compiled core has the formulas (`handmap/two_palms.hpp`). Its `RobotMapper` moves the targets of
+hands that it maps; these functions move those of all others.
 """
 
 from __future__ import annotations
@@ -8,20 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 from msgspec import structs
 
 from handmap_core.core import core
 from handmap_core.hands import Hand
 from handmap_core.ik import AttachedPoints, PointOffset
-from handmap_core.se3 import (
-    Array,
-    affine,
-    inverse_pose,
-    lengths,
-    smoothstep,
-    transform_points,
-)
+from handmap_core.se3 import Array, transform_points
 from .hand_request import AnyRequest
 from .palm import PalmMap
 from .targets import Targets
@@ -39,11 +32,11 @@ class LedPalm(NamedTuple):
 
     Attributes:
         map: The map that leads it.
-        person: The person's palm in the robot's world, shape (4, 4).
+        core: The palm as the core has it, with the person's.
     """
 
     map: PalmMap
-    person: Array
+    core: core.LedPalm
 
 
 class AimedHand(NamedTuple):
@@ -73,8 +66,9 @@ def aimed(request: AnyRequest, world: Array, share: float) -> AimedHand:
     targets = moved_by(world, request.targets)
     if not isinstance(target_map, PalmMap):
         return AimedHand(targets)
-    palm = LedPalm(target_map, world @ target_map.person_at(request.pose))
-    return AimedHand(turned(targets, palm, share), palm)
+    person = world @ target_map.person_at(request.pose)
+    palm = LedPalm(target_map, core.LedPalm(target_map.core_palm, person))
+    return AimedHand(moved_by(palm.core.turn(targets.wrist, share), targets), palm)
 
 
 def brought_together(
@@ -95,46 +89,23 @@ def brought_together(
     if len(palms) < 2:
         return hands, ()
     first, other = palms
-    apart = (other.person - first.person)[:3, 3]
-    gap = lengths(apart) / (1.0 + first.map.further)
-    share = float(smoothstep((NEAR - gap) / (NEAR - TOGETHER)))
-    is_aligned = np.array_equal(first.map.alignment, other.map.alignment)
-    if share == 0.0 or not is_aligned:
+    wrist, other_wrist = (hand.targets.wrist for hand in hands)
+    meeting = first.core.meeting(wrist, other.core, other_wrist, NEAR, TOGETHER)
+    if meeting is None:
         return hands, ()
-    ends, places = [], []
-    for hand, palm, part in zip(hands, palms, robot.hands, strict=True):
-        anchor = palm.map.robot_anchor
-        ends.append(transform_points(hand.targets.wrist @ part.wrist_to_palm, anchor))
+    *motions, aim, share = meeting
+    moved = []
+    places = []
+    for hand, palm, motion, part in zip(
+        hands, palms, motions, robot.hands, strict=True
+    ):
+        moved.append(AimedHand(moved_by(motion, hand.targets), palm))
         frame = part.palm_frame
         placement = frame.placement.homogeneous
-        places.append((frame.parentJoint, transform_points(placement, anchor)))
-    offset = ends[1] - ends[0]
-    aim = offset + share * (apart - offset)
-    shifts = [sign * (aim - offset) for sign in (-0.5, 0.5)]
-    moved = [
-        AimedHand(turned(hand.targets, palm, share, shift), palm)
-        for hand, palm, shift in zip(hands, palms, shifts, strict=True)
-    ]
+        anchor = transform_points(placement, palm.map.robot_anchor)
+        places.append((frame.parentJoint, anchor))
     points = AttachedPoints(robot, places)
     return moved, (PointOffset(points, aim, TOGETHER_SHARE * share * weight),)
-
-
-def turned(
-    targets: Targets, palm: LedPalm, share: float, shift: Array | float = 0.0
-) -> Targets:
-    """Return targets whose palm has turned about its anchor to the person's axes, and shifted.
-
-    Args:
-        targets: The targets.
-        palm: Their palm.
-        share: Share of the turn, from 0 to 1.
-        shift: The shift [m], shape (3,).
-    """
-    here = targets.wrist @ inverse_pose(palm.map.robot_palm_to_wrist)
-    centre = transform_points(here, palm.map.robot_anchor)
-    whole = palm.person[:3, :3] @ here[:3, :3].T
-    turn = core.exp3(share * core.log3(whole))
-    return moved_by(affine(turn, centre - turn @ centre + shift), targets)
 
 
 def moved_by(motion: Array, targets: Targets) -> Targets:

@@ -7,7 +7,6 @@ from .encoding import Model as Model
 from .encoding import Point as Point
 from .encoding import Points as Points
 from .encoding import Pose as Pose
-from .encoding import Poses as Poses
 from .encoding import Rotation as Rotation
 from .encoding import Vector as Vector
 from .encoding import encode as encode

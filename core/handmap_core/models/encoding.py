@@ -29,7 +29,6 @@ Point = Annotated[NDArray[np.float64], "float (3)"]
 Points = Annotated[NDArray[np.float64], "float (n, 3)"]
 Rotation = Annotated[NDArray[np.float64], "float (3, 3)"]
 Pose = Annotated[NDArray[np.float64], "float (4, 4)"]
-Poses = Annotated[NDArray[np.float64], "float (n, 4, 4)"]
 Indices = Annotated[NDArray[np.int64], "int (n)"]
 Flags = Annotated[NDArray[np.bool_], "bool (n)"]
 

@@ -3,41 +3,13 @@
 
 #include <cstdint>
 #include <functional>
-#include <iterator>
 #include <optional>
 
 #include "gate.hpp"
 #include "guessed_qp.hpp"
+#include "task_rows.hpp"
 
 namespace handmap {
-
-// A task's rows in the active coordinates, weighted: |jacobian dq + residual|^2 + dq^T diag(damping) dq.
-struct TaskRows {
-  int count = 0;
-  Vector residual, jacobian, damping;
-};
-
-// Distances of pairs of points; see tasks.PointDistances.
-struct DistanceTask {
-  std::vector<Attached> points;
-  std::vector<int> first, second;
-};
-
-// A task with its aims in one sample.
-struct AimedDistances {
-  const DistanceTask* task;
-  Vector aims, weights;
-};
-
-// Where a point of one hand should be from that of another; see tasks.PointOffset.
-struct OffsetTask {
-  Attached from, to;
-  Vec3 aim;
-  double weight;
-};
-
-// Length that counts as one in the cost [m].
-constexpr double kLengthUnit = 0.01;
 
 struct Weights {
   Vector points;  // cost of each reference point's error [cost]/[m]
@@ -272,11 +244,7 @@ class Ik : public Gate {
     }
   }
 
-  void start_levers(int joint) {
-    levers_.resize(tree.size);
-    if (joint >= 0)
-      for (const int i : tree.moving[joint]) levers_[i] = Vec3{};
-  }
+  void start_levers(int joint) { clear_levers(tree, joint, levers_); }
 
   // Add three rows of the cost: `levers_` of the active coordinates that move a joint.
   void add_levers(int joint, const Vec3& error) {
@@ -289,13 +257,6 @@ class Ik : public Gate {
       double* row = H_.data() + moving[a] * tree.size;
       for (size_t b = 0; b <= a; ++b) row[moving[b]] += dot(lever, levers_[moving[b]]);
     }
-  }
-
-  const std::vector<int>& support(int joint) const {
-    return joint < 0 ? none_ : tree.supports[joint];
-  }
-  const std::vector<int>& moving(int joint) const {
-    return joint < 0 ? none_ : tree.moving[joint];
   }
 
   // c and the lower triangle of H of the QP where the hand is.
@@ -322,8 +283,15 @@ class Ik : public Gate {
       }
     }
     for (const AimedDistances& aimed : goal.distances)
-      add_distances(*aimed.task, aimed.aims, aimed.weights);
-    for (const OffsetTask& offset : goal.offsets) add_offset(offset);
+      for (size_t k = 0; k < aimed.weights.size(); ++k) {
+        if (aimed.weights[k] == 0.0) continue;
+        block_.set_distance(at, *aimed.task, k, aimed.aims[k], aimed.weights[k]);
+        add_block();
+      }
+    for (const OffsetTask& offset : goal.offsets) {
+      block_.set_offset(at, offset);
+      add_block();
+    }
     if (goal.further) {
       goal.further(at.q, further_);
       columns_.resize(n);
@@ -371,7 +339,7 @@ class Ik : public Gate {
       const Vec3 error = weights.points[k] * (point - targets_[k]);
       error2 += dot(error, error);
       start_levers(attached.joint);
-      for (const int c : support(attached.joint))
+      for (const int c : tree.support_of(attached.joint))
         levers_[tree.leader[c]] += (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
       // What moves the wrist moves the targets too.
       if (is_carried) start_levers(part.joint);
@@ -390,95 +358,25 @@ class Ik : public Gate {
     const Vec3 v = a * twist.v, w = b * twist.w;
     // The columns' velocities in the wrist's axes.
     start_levers(joint);
-    for (const int c : support(joint)) {
+    for (const int c : tree.support_of(joint)) {
       const Vec3 angular = tmul(here.R, at.columns[c].w);
       const Vec3 linear = tmul(here.R, at.velocity(c, here.p));
       levers_[tree.leader[c]] += (a * tree.factor[c]) * (log.A * linear + log.B * angular);
     }
     add_levers(joint, v);
     start_levers(joint);
-    for (const int c : support(joint))
+    for (const int c : tree.support_of(joint))
       levers_[tree.leader[c]] +=
           (b * tree.factor[c]) * (log.A * tmul(here.R, at.columns[c].w));
     add_levers(joint, w);
     return dot(v, v) + dot(w, w);
   }
 
-  // Rows of distances: see tasks.PointDistances.
-  void add_distances(const DistanceTask& task, const Vector& aims, const Vector& aim_weights) {
-    constexpr double kShortest = 1e-9;
-    const int n = tree.size;
-    block_.resize(4 * n);
-    turns_.resize(n);
-    for (size_t k = 0; k < task.first.size(); ++k) {
-      const double weight = aim_weights[k] / kLengthUnit;
-      if (weight == 0.0) continue;
-      const Attached &a = task.points[task.first[k]], &b = task.points[task.second[k]];
-      const Vec3 from = at.point(b), to = at.point(a);
-      Vec3 offset = to - from;
-      const double apart = std::max(norm(offset), kShortest);
-      // Points in one place have no direction: any will do to part them.
-      if (apart == kShortest) offset = {0.0, 0.0, kShortest};
-      const Vec3 direction = (1.0 / apart) * offset;
-      const std::vector<int>&moving_a = moving(a.joint), &moving_b = moving(b.joint);
-      start_levers(a.joint);
-      start_levers(b.joint);
-      for (const int i : moving_a) turns_[i] = Vec3{};
-      for (const int i : moving_b) turns_[i] = Vec3{};
-      // What moves both, such as a wrist, leaves their distance.
-      const std::vector<int>&support_a = support(a.joint), &support_b = support(b.joint);
-      auto [own_a, own_b] = std::mismatch(support_a.begin(), support_a.end(), support_b.begin(),
-                                          support_b.end());
-      const auto add = [&](int c, double sign, const Vec3& point) {
-        levers_[tree.leader[c]] += sign * tree.factor[c] * at.velocity(c, point);
-        turns_[tree.leader[c]] += tree.factor[c] * at.columns[c].w;
-      };
-      for (; own_a != support_a.end(); ++own_a) add(*own_a, 1.0, to);
-      for (; own_b != support_b.end(); ++own_b) add(*own_b, -1.0, from);
-      movers_.clear();
-      std::set_union(moving_a.begin(), moving_a.end(), moving_b.begin(), moving_b.end(),
-                     std::back_inserter(movers_));
-      const double residual = weight * (apart - aims[k]), errors[4] = {residual, 0.0, 0.0, 0.0};
-      const double pull = std::sqrt(std::max(weight * residual / apart, 0.0));
-      columns_.clear();
-      for (const int i : movers_) {
-        const Vec3 lever = levers_[i];
-        if (norm(lever) == 0.0) continue;
-        columns_.push_back(i);
-        const double slope = dot(direction, lever);
-        block_[i] = weight * slope;
-        // The second derivatives: of the offset's length, and of the offset along itself.
-        const Vec3 across = pull * (lever - slope * direction);
-        block_[n + i] = across.x;
-        block_[2 * n + i] = across.y;
-        block_[3 * n + i] = across.z;
-        const double bend = dot(direction, cross(turns_[i], lever));
-        diagonal_[i] += std::max(weight * residual * bend, 0.0);
-      }
-      add_rows(block_.data(), pull > 0.0 ? 4 : 1, errors);
-    }
-  }
-
-  // Rows of one point's offset from another: see tasks.PointOffset.
-  void add_offset(const OffsetTask& task) {
-    const int n = tree.size;
-    const Vec3 from = at.point(task.from), to = at.point(task.to);
-    const Vec3 error = task.weight * (to - from - task.aim);
-    const std::vector<int>&moving_a = moving(task.to.joint), &moving_b = moving(task.from.joint);
-    start_levers(task.to.joint);
-    start_levers(task.from.joint);
-    for (const int c : support(task.to.joint))
-      levers_[tree.leader[c]] += (task.weight * tree.factor[c]) * at.velocity(c, to);
-    for (const int c : support(task.from.joint))
-      levers_[tree.leader[c]] += (-task.weight * tree.factor[c]) * at.velocity(c, from);
-    columns_.clear();
-    std::set_union(moving_a.begin(), moving_a.end(), moving_b.begin(), moving_b.end(),
-                   std::back_inserter(columns_));
-    block_.resize(4 * n);
-    for (const int i : columns_)
-      for (int axis = 0; axis < 3; ++axis) block_[axis * n + i] = levers_[i][axis];
-    const double errors[3] = {error.x, error.y, error.z};
-    add_rows(block_.data(), 3, errors);
+  // Add the rows of `block_`.
+  void add_block() {
+    columns_ = block_.columns;
+    add_rows(block_.rows.data(), block_.count, block_.errors.data());
+    for (const int i : columns_) diagonal_[i] += block_.damping[i];
   }
 
   void finish(const Goal& goal, int iterations, double last_step, bool has_failed, Result& result) {
@@ -523,11 +421,11 @@ class Ik : public Gate {
   Rows linear_;
   TaskRows further_;
   bool is_pressed_ = false;  // whether a row is active in the last step
-  const std::vector<int> none_;
-  std::vector<int> columns_, movers_;
+  std::vector<int> columns_;
   std::vector<signed char> guess_;
-  std::vector<Vec3> levers_, turns_, targets_;
-  Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_;
+  std::vector<Vec3> levers_, targets_;
+  Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_;
+  TaskBlock block_;
 };
 
 }  // namespace handmap

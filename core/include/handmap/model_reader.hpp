@@ -70,7 +70,6 @@ HANDMAP_FORM(Vec3, "float (3)")
 HANDMAP_FORM(std::vector<Vec3>, "float (n, 3)")
 HANDMAP_FORM(Mat3, "float (3, 3)")
 HANDMAP_FORM(Pose, "float (4, 4)")
-HANDMAP_FORM(std::vector<Pose>, "float (n, 4, 4)")
 HANDMAP_FORM(Indices, "int (n)")
 HANDMAP_FORM(BoolVector, "bool (n)")
 #undef HANDMAP_FORM
@@ -419,12 +418,6 @@ class ModelReader {
     double at[16];
     copy(floats("(4, 4)", false, {4, 4}), at);
     value = pose_of(at);
-  }
-
-  void read(std::vector<Pose>& value) {
-    const Vector at = vector_of(floats("(n, 4, 4)", true, {4, 4}));
-    value.clear();
-    for (size_t k = 0; k < at.size(); k += 16) value.push_back(pose_of(at.data() + k));
   }
 
   void read(Indices& value) {

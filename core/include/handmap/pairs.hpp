@@ -57,7 +57,7 @@ struct Pair {
 // Pairs nearer than this may touch each other's links: hands.contact_yield.NEAR [m].
 constexpr double kYieldNear = 1e-3;
 
-// How far pairs may overlap in commands: see handmap_qp/hands/contact_yield.py. A model.
+// How far pairs may overlap in commands: see handmap_core/hands/contact_yield.py. A model.
 struct ContactYield {
   static constexpr const char* kName = "YieldModel";
   Vector forces, depths;         // of each pair, as they came

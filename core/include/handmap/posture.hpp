@@ -225,7 +225,7 @@ inline bool is_reached(const AimedDistances& aimed, const Placed& at, double tol
 }
 
 // Move a hand, whose wrist should stay and whose joints go to `rest`, for so many samples, or until
-// distances are within a tolerance of their aims; see hand_pair.approach.
+// distances are within a tolerance of their aims; see hand_pair.RobotFingers.pinches.
 inline void approach(Ik& ik, const AimedDistances& aimed, const Vector& rest, double dt, int samples,
                      double tolerance) {
   Placed placed(ik.tree);
@@ -250,16 +250,13 @@ class SmallestDistances {
   explicit SmallestDistances(const PairBounds& bounds)
       : bounds_(bounds), partings_(bounds.pairs.size()), centres_(bounds.bodies.size()) {}
 
-  void place(const Placed& at) {
+  // That of all pairs in one posture, or `most` if none is nearer.
+  double measure(const Placed& at, double most) {
     at_ = &at;
     for (size_t i = 0; i < centres_.size(); ++i)
       centres_[i] = at.pose(bounds_.bodies[i].joint) * bounds_.bodies[i].centre;
-  }
-
-  // That of the pairs `from` to `to`, or `most` if none is nearer.
-  double among(size_t from, size_t to, double most) {
     order_.clear();
-    for (size_t k = from; k < to; ++k) {
+    for (size_t k = 0; k < bounds_.pairs.size(); ++k) {
       const int a = bounds_.pairs[k].first, b = bounds_.pairs[k].second;
       const double reach = bounds_.bodies[a].radius + bounds_.bodies[b].radius;
       const double gap = norm(centres_[a] - centres_[b]) - reach;
@@ -295,7 +292,7 @@ class SmallestDistances {
                &b = bounds_.bodies[bounds_.pairs[k].second];
     const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
     Warm warm{};
-    const Found found = measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement, warm);
+    const Found found = handmap::measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement, warm);
     partings_[k] = tmul(to_a.R, found.normal);
     return found.distance;
   }

@@ -78,31 +78,32 @@ class LandmarkReader {
 // See readers.JointReader.
 class JointReader {
  public:
-  explicit JointReader(Tree given) : tree_(std::move(given)), at_(tree_), vector_(tree_.rest) {
-    if (tree_.nv != tree_.size)
-      throw std::invalid_argument("a human hand with joints that follow others");
-  }
+  explicit JointReader(Tree given) : tree_(std::move(given)), at_(tree_), vector_(tree_.rest) {}
   JointReader(const JointReader&) = delete;
 
-  // Return whether all joints are inside their limits.
-  bool read(const double* q, const Pose& wrist, HumanPose& pose) {
-    for (size_t j = 0; j < size(); ++j) {
+  // Number of the joints that it reads.
+  size_t size() const { return tree_.q_indices.size(); }
+
+  bool is_within_limits(const double* q) const {
+    for (size_t j = 0; j < size(); ++j)
       if (!(q[j] >= tree_.lower[j] && q[j] <= tree_.upper[j])) return false;
-      vector_[tree_.q_indices[j]] = q[j];
-    }
-    at_.place(vector_.data());
-    pose.has_wrist = true;
-    pose.wrist = wrist;
-    pose.points.reserve(tree_.points.size());
-    for (const Attached& attached : tree_.points) pose.points.push_back(wrist * at_.point(attached));
     return true;
   }
-  size_t size() const { return tree_.q_indices.size(); }
+
+  // Points move with the wrist, which the tree has at its origin.
+  HumanPose read(const double* q, const Pose& wrist) {
+    tree_.set_joints(q, vector_);
+    at_.place(vector_.data());
+    HumanPose pose{{}, true, wrist};
+    pose.points.reserve(tree_.points.size());
+    for (const Attached& attached : tree_.points) pose.points.push_back(wrist * at_.point(attached));
+    return pose;
+  }
 
  private:
   const Tree tree_;
   Placed at_;
-  Vector vector_;  // the wrist is at the origin
+  Vector vector_;
 };
 
 // All results of a sample.

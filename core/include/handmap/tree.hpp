@@ -53,6 +53,9 @@ struct Part {
   size_t first, end;
 };
 
+// What moves the world.
+inline const std::vector<int> kNoCoordinates;
+
 // What never changes of a hand.
 struct Tree {
   int nq = 0, nv = 0, size = 0;  // size: number of active coordinates
@@ -73,7 +76,7 @@ struct Tree {
   std::vector<Vector> fingers;      // of each hand, 1 for each joint of its fingers
   std::vector<Frame> frames;
   Vector rest;                      // configuration at rest, with the wrist at the origin
-  std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see Expansion
+  std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see `set_joints`
   Vector matrix, offset;
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates
@@ -100,13 +103,24 @@ struct Tree {
   // The configuration of joint positions, with the wrist at the origin.
   Vector configuration(const double* q) const {
     Vector found = rest;
+    set_joints(q, found);
+    return found;
+  }
+  void set_joints(const double* q, Vector& configuration) const {
     const size_t n = q_indices.size();
     for (size_t i = 0; i < set_by_joints.size(); ++i) {
       double sum = 0.0;
       for (size_t j = 0; j < n; ++j) sum += matrix[i * n + j] * q[j];
-      found[set_by_joints[i]] = sum + offset[i];
+      configuration[set_by_joints[i]] = sum + offset[i];
     }
-    return found;
+  }
+
+  // Coordinates that move a joint, and the active ones among them; -1 is the world.
+  const std::vector<int>& support_of(int joint) const {
+    return joint < 0 ? kNoCoordinates : supports[joint];
+  }
+  const std::vector<int>& moving_of(int joint) const {
+    return joint < 0 ? kNoCoordinates : moving[joint];
   }
 
   // Whether it has a joint of a number; -1 is the world.

@@ -77,4 +77,4 @@ class GapMeter:
         """Measure the least distance of any of the pairs, at most `most` [m], shape (T,)."""
         hand = self._hand
         pairs = pair_bounds(hand.model, geometry)
-        return hand.tree.smallest_distances(pairs.core, q, [0], most)[:, 0]
+        return hand.tree.smallest_distances(pairs.core, q, most)

@@ -42,8 +42,19 @@ from handmap_core.se3 import Array
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
-from handmap_qp.mapping import MapStep, Placement, check_joints
-from handmap_qp.stream import FollowingCheck, ObjectFollower
+from handmap_qp.mapping import (
+    HandMapper,
+    MapStep,
+    Placement,
+    RobotMapper,
+    check_joints,
+)
+from handmap_qp.stream import (
+    FollowingCheck,
+    ObjectFollower,
+    RobotFollower,
+    RobotGripFollower,
+)
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
@@ -651,26 +662,32 @@ class Session:
 
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
-        mapper: Any = self._hands.mapper
-        follower: Any = self._hands.follower
+        mapper = self._hands.mapper
+        follower = self._hands.follower
         is_measured = sample.measured_q is not None or now - self._measured_at <= _FRESH
         measured = self._measured if is_measured else None
         grips = isinstance(follower, Gripping)
         held = self._form.held(sample, measured, grips=grips)
         if sample.base is not None:
-            refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
+            if not isinstance(mapper, RobotMapper):
+                message = "a hand alone has no floating base"
+                raise RefusedError("invalid", message, field="base")
             mapper.base_pose = sample.base.matrix
         held["dt"] = self._when
         if self.request.input != "landmarks":
+            # `prepare_hands` refuses other samples of a robot with two hands.
+            assert isinstance(mapper, HandMapper)
             # The core takes arrays; of tuples it leaves the sample to Python.
             wrist = None if sample.wrist is None else sample.wrist.matrix
             if self.request.input == "q":
+                # `SampleForm.read` refuses joint angles without a wrist.
+                assert wrist is not None
                 return mapper.map_step(np.array(sample.q), wrist, **held)
             return mapper.map_points(np.array(sample.points), wrist, **held)
         held["arrival"] = now if self.request.time_from == "server" else None
-        if self.robot.parts:
+        if isinstance(follower, RobotFollower | RobotGripFollower):
             return follower.map_samples(humans, **held)
-        (human,) = humans.values()
+        human = humans[self.request.side]
         step = follower.map_sample(human, **held)
         if step.rule == "size":
             # Other units than metres are a mistake of the client, which must know.
@@ -749,7 +766,7 @@ class Session:
         grip = read_grip(wanted)
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
-        follower: Any = hands.follower
+        follower = hands.follower
         if grip and isinstance(follower, Gripping | ObjectFollower):
             follower.grip = grip
         self.request = wanted
