@@ -9,7 +9,6 @@ from .configuration import (
     moved_by,
 )
 from .contact_yield import (
-    NEAR,
     ContactYield,
 )
 from .hand import (
@@ -43,7 +42,6 @@ __all__ = [
     "FINGERS",
     "LINK_MARGIN",
     "LONGEST_STOP",
-    "NEAR",
     "OTHER_SIDE",
     "SIDES",
     "SLIDING_STIFFNESS",

@@ -69,7 +69,7 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
     """
     if not mapper.ik.is_compiled:
         _refuse("formulation", "the compiled core does not move this hand as asked")
-    collisions = _collisions(mapper.point_ik.gate.collisions)
+    collisions = _collisions(mapper.robot, mapper.point_ik.gate.collisions)
     if isinstance(mapper, RobotMapper):
         form, tree = ROBOT, _robot(mapper, collisions)
     else:
@@ -143,7 +143,7 @@ def _hand_of(hand: Hand) -> dict[str, Any]:
     return _packed(hand) | {"tree_model": encode(hand_model(hand))}
 
 
-def _collisions(limit: CollisionLimit | None) -> dict[str, Any] | None:
+def _collisions(hand: Hand, limit: CollisionLimit | None) -> dict[str, Any] | None:
     """Return the pairs of shapes that a hand keeps apart, and how."""
     if limit is None:
         return None
@@ -152,7 +152,7 @@ def _collisions(limit: CollisionLimit | None) -> dict[str, Any] | None:
         "pairs": encode(limit.bounds.model()),
         "model": encode(limit.model),
         "links": limit.bounds.links,
-        "columns": limit.columns,
+        "columns": limit.bounds.moving_columns(hand.spread),
     }
 
 

@@ -13,7 +13,6 @@ from handmap_core.hands import CONTACT_GAP as CONTACT_GAP
 from handmap_core.hands import FINGERS as FINGERS
 from handmap_core.hands import LINK_MARGIN as LINK_MARGIN
 from handmap_core.hands import LONGEST_STOP as LONGEST_STOP
-from handmap_core.hands import NEAR as NEAR
 from handmap_core.hands import OTHER_SIDE as OTHER_SIDE
 from handmap_core.hands import SLIDING_STIFFNESS as SLIDING_STIFFNESS
 from handmap_core.hands import STIFFNESS as STIFFNESS
