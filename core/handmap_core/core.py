@@ -50,3 +50,11 @@ if TYPE_CHECKING:
 else:
     # None where a build runs this file by itself, for `fingerprint`.
     core = load_core() if __package__ else None
+
+
+def without_core(of: object) -> dict[str, object]:
+    """Return the attributes of an object but those of the core, which a copy makes again."""
+    made = core.TargetMap, core.PalmMap, core.PairBounds, core.PointDistances
+    return {
+        name: value for name, value in vars(of).items() if not isinstance(value, made)
+    }

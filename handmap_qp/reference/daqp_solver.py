@@ -10,7 +10,7 @@ import numpy as np
 from handmap_core.se3 import Array
 
 if TYPE_CHECKING:
-    from handmap_qp.ik.collision import Rows
+    from handmap_core.ik.gate import Rows
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one

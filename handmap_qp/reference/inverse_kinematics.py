@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from handmap_core.ik.gate import IkGate
+from handmap_core.ik.gate import IkGate, Rows
 from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array, frozen, lengths
 from handmap_qp.hands import Hand
@@ -22,7 +22,6 @@ from .problem import direct_cost, moved_along
 
 if TYPE_CHECKING:
     from handmap_core import _core
-    from handmap_qp.ik.collision import Rows
 
 # Count a hand as at rest if its last step is shorter than this [rad or m].
 _AT_REST = 1e-3

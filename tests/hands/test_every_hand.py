@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import rotated
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
 from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs
@@ -23,7 +24,6 @@ from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.human import HumanMotion
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.ik.collision import CollisionLimit
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -172,7 +172,7 @@ def test_links_that_are_to_stay_apart_are_apart_at_rest(name: str) -> None:
         pytest.skip("names no pairs of links")
     placed = hand.configuration()
     placed.place(hand.configuration_vector(hand.rest))
-    limit = CollisionLimit(hand)
+    limit = MeasuredPairs(hand)
     assert limit.within(placed.q).found[:, 0].min() > limit.margin
 
 

@@ -17,6 +17,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ik_cases import loosened, problem_of, random_cases
+from oracles.shape_distances import MeasuredPairs
 from scipy.optimize import linprog
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
@@ -25,7 +26,6 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
-from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.reference.daqp_solver import solve_by_daqp
 
@@ -46,7 +46,7 @@ def load(name: str, mount: Mount = "fixed") -> Hand:
 
 
 def avoiding_step(
-    ik: PointIk, limit: CollisionLimit, targets: np.ndarray, dt: float
+    ik: PointIk, limit: MeasuredPairs, targets: np.ndarray, dt: float
 ) -> np.ndarray | None:
     """Return the step of the QP with the rows of all pairs, before the gate."""
     H, c, lower, upper = problem_of(ik, targets, None, dt)
@@ -64,7 +64,7 @@ def is_boxy(name: str) -> bool:
 def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
     hand = load(name, "floating")
     limit, configuration, rng = (
-        CollisionLimit(hand),
+        MeasuredPairs(hand),
         hand.configuration(),
         np.random.default_rng(0),
     )
@@ -93,7 +93,7 @@ def test_moving_the_wrist_changes_no_distance() -> None:
     hand = load("three_finger", "floating")
     configuration = hand.configuration()
     configuration.place(hand.configuration_vector(hand.rest, np.eye(4)))
-    limit = CollisionLimit(hand)
+    limit = MeasuredPairs(hand)
     G, _ = limit.rows(configuration, limit.within(configuration.q))
     np.testing.assert_array_equal(G[:, :6], 0.0)
     assert (np.abs(G).max(axis=1) > 1e-3).all()
@@ -102,7 +102,7 @@ def test_moving_the_wrist_changes_no_distance() -> None:
 @each_name
 def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
     hand = load(name)
-    limit, configuration = CollisionLimit(hand), hand.configuration()
+    limit, configuration = MeasuredPairs(hand), hand.configuration()
     configuration.place(hand.configuration_vector(hand.rest))
     assert limit.within(configuration.q).found[:, 0].min() > limit.margin
 
@@ -128,7 +128,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
         np.random.default_rng(0),
     )
     ik.place(hand.configuration_vector(hand.rest))
-    limit, nearest = CollisionLimit(hand), np.inf
+    limit, nearest = MeasuredPairs(hand), np.inf
     for i in range(12):
         elsewhere.place(
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
@@ -146,7 +146,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
 def test_rows_never_contradict_the_box(name: str) -> None:
     # Also among overlapping links and outside the joints' limits.
     hand = load(name)
-    limit, ik, overlaps = CollisionLimit(hand), PointIk(hand, IkOptions()), 0
+    limit, ik, overlaps = MeasuredPairs(hand), PointIk(hand, IkOptions()), 0
     for case in random_cases(hand, 40, seed=1):
         ik.place(case.q)
         overlaps += limit.within(ik.configuration.q).found[:, 0].min() < 0.0
@@ -178,7 +178,7 @@ def test_parting_leaves_room_and_does_not_jump(seed: int) -> None:
 
 def test_overlapping_links_part() -> None:
     hand = load("three_finger")
-    limit, ik = CollisionLimit(hand), PointIk(hand, IkOptions())
+    limit, ik = MeasuredPairs(hand), PointIk(hand, IkOptions())
     rng, starts = np.random.default_rng(0), 0
     while starts < 5:
         ik.place(
@@ -243,7 +243,7 @@ def test_far_rows_change_no_step() -> None:
     np.testing.assert_allclose(steps[1], steps[0], atol=1e-9)
 
 
-def links_of(limit: CollisionLimit) -> list[tuple[str, str]]:
+def links_of(limit: MeasuredPairs) -> list[tuple[str, str]]:
     """Return the links of each pair."""
     return [*ShapePairs(limit.bounds.geometry, ()).links]
 
@@ -262,9 +262,9 @@ def test_a_link_with_two_shapes_has_two_rows() -> None:
             f'{shape}<collision name="finger1_distal">',
         )
     )
-    limit = CollisionLimit(Hand(hand.spec, mount="fixed", urdf_text=text))
+    limit = MeasuredPairs(Hand(hand.spec, mount="fixed", urdf_text=text))
     pairs = links_of(limit)
-    assert len(pairs) == len(links_of(CollisionLimit(hand))) + 4
+    assert len(pairs) == len(links_of(MeasuredPairs(hand))) + 4
     assert pairs.count(("finger1_distal", "finger2_distal")) == 2
 
 
@@ -287,7 +287,7 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
             mount="fixed",
             urdf_text=text,
         )
-        configuration, limit = boxy.configuration(), CollisionLimit(boxy)
+        configuration, limit = boxy.configuration(), MeasuredPairs(boxy)
         for q in (hand.rest, hand.upper_limits):
             configuration.place(boxy.configuration_vector(q))
             distances.append(limit.within(configuration.q).found[:, 0])
@@ -306,7 +306,7 @@ def test_links_whose_mesh_is_not_there_are_kept_apart_by_stand_ins(
     )
     spec = msgspec.structs.replace(hand.spec, directory=tmp_path)
     bare = Hand(spec, mount="fixed", urdf_text=text)
-    limit = CollisionLimit(bare)
+    limit = MeasuredPairs(bare)
     configuration = bare.configuration()
     configuration.place(bare.configuration_vector(hand.rest))
     distances = limit.within(configuration.q).found[:, 0]
@@ -316,7 +316,7 @@ def test_links_whose_mesh_is_not_there_are_kept_apart_by_stand_ins(
 def test_a_hand_without_pairs_is_rejected_with_advice() -> None:
     spec = msgspec.structs.replace(load("three_finger").spec, collision=None)
     with pytest.raises(InvalidOptionsError, match=r"collision\.pairs"):
-        CollisionLimit(Hand(spec))
+        MeasuredPairs(Hand(spec))
 
 
 @pytest.mark.parametrize(
@@ -328,7 +328,7 @@ def test_a_link_that_cannot_collide_is_named(link: str, what: str) -> None:
     )
     spec = msgspec.structs.replace(load("three_finger").spec, collision=collision)
     with pytest.raises(HandError, match=what) as caught:
-        CollisionLimit(Hand(spec))
+        MeasuredPairs(Hand(spec))
     assert caught.value.key == "collision.pairs[1]"
     assert caught.value.file is not None
 
@@ -383,7 +383,7 @@ def test_the_block_is_optional(tmp_path: Path) -> None:
 
 def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
-    every, limit = CollisionLimit(hand), CollisionLimit(hand)
+    every, limit = MeasuredPairs(hand), MeasuredPairs(hand)
     configuration = hand.configuration()
     margins = rng.uniform(0.0, 0.003, size=len(every.bounds.first))
     for _ in range(20):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from copy import deepcopy
 
 import numpy as np
+from oracles.shape_distances import MeasuredPairs
+from oracles.shape_distances import overlaps_of as overlaps_of_pairs
 from scipy.optimize import nnls
 
 from handmap_core.hands.contact_yield import common_yield
@@ -39,7 +41,7 @@ def overlaps_of(G: Array, torque: float = np.inf, depth: float = 1.0) -> Array:
         compliances=ones(size) / STIFFNESS,
         torques=torque * ones(size),
     )
-    return yielding.overlaps(np.arange(count), G, G, -1e-3 * ones(count))
+    return overlaps_of_pairs(yielding, np.arange(count), G, G, -1e-3 * ones(count))
 
 
 def forces_of(G: Array, overlaps: Array) -> Array:
@@ -97,15 +99,13 @@ def mapper_of(squeeze: float, name: str = "leap_right") -> HandMapper:
 def nearest_after(mapper: HandMapper, landmarks: Array) -> float:
     """Return the least distance of all pairs after a sample [m]."""
     mapper.map_landmarks(landmarks, dt=0.033)
-    limit = mapper.point_ik.gate.collisions
-    assert limit
+    limit = MeasuredPairs.of(mapper.point_ik)
     return float(limit.within(mapper.motion.q).found[:, 0].min())
 
 
 def test_pairs_overlap_by_no_more_than_they_may_and_others_never_do() -> None:
     mapper = mapper_of(FORCE)
-    limit = mapper.point_ik.gate.collisions
-    assert limit
+    limit = MeasuredPairs.of(mapper.point_ik)
     assert limit.yielding
     must_not = limit.yielding.forces == 0.0
     deepest = 0.0
@@ -125,8 +125,7 @@ def test_pairs_overlap_by_no_more_than_they_may_and_others_never_do() -> None:
 
 def test_a_hand_without_squeeze_is_kept_apart_as_before() -> None:
     mapper = mapper_of(0.0)
-    limit = mapper.point_ik.gate.collisions
-    assert limit
+    limit = MeasuredPairs.of(mapper.point_ik)
     assert limit.yielding is None
     for landmarks in PINCH:
         mapper.map_landmarks(landmarks, dt=0.033)
@@ -159,8 +158,7 @@ def test_links_of_one_hand_of_a_robot_may_press_but_not_on_the_other_hand() -> N
     }
     ik = get_preset("teleoperation").ik
     mapper = RobotMapper(load_robot("g1"), humans, Teleoperation(squeeze=FORCE), ik=ik)
-    limit = mapper.point_ik.gate.collisions
-    assert limit
+    limit = MeasuredPairs.of(mapper.point_ik)
     assert limit.yielding
     may_press = limit.yielding.forces > 0.0
     pressing = [

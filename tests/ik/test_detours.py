@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_core.ik.motion import Motion
 from handmap_core.ik.tasks import TaskRows
@@ -41,13 +42,13 @@ def starts(mapper: HandMapper, count: int) -> list[Motion]:
     """Return random postures of the fingers without overlaps; the wrist is where it is."""
     rng = np.random.default_rng(0)
     ik, robot = mapper.point_ik, mapper.robot
-    assert ik.gate.collisions is not None
+    limit = MeasuredPairs.of(ik)
     wrist = ik.configuration.wrist.homogeneous.copy()
     found: list[Motion] = []
     while len(found) < count:
         q = rng.uniform(robot.lower_limits, robot.upper_limits)
         vector = robot.configuration_vector(q, wrist)
-        if not len(ik.gate.collisions.within(vector, 1e-3).pairs):
+        if not len(limit.within(vector, 1e-3).pairs):
             found.append(Motion.at_rest(vector, len(robot.active_columns)))
     return found
 
@@ -122,8 +123,7 @@ def test_a_detour_frees_a_caught_finger_within_all_limits(
 ) -> None:
     start, human_q = caught
     mapper = mapper_of()
-    robot, collisions = mapper.robot, mapper.point_ik.gate.collisions
-    assert collisions is not None
+    robot, collisions = mapper.robot, MeasuredPairs.of(mapper.point_ik)
     free = max(3.0, end_error(mapper, mapper.motion, human_q))
     mapper.motion = start
     before = start.q[robot.q_indices]

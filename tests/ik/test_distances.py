@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import rotated
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_qp import Hand, hand_names, load_hand
 from handmap_qp.hands.pads import _corners as corners
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
-from handmap_qp.ik.collision import CollisionLimit
 
 HORIZON = 0.012
 
@@ -22,7 +22,7 @@ def hand() -> Hand:
 
 def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
     geometry = all_pairs(hand).geometry
-    measured = CollisionLimit(hand, ShapePairs(geometry, ()))
+    measured = MeasuredPairs(hand, ShapePairs(geometry, ()))
     alone, data = geometry.createData(), hand.model.createData()
     for request in alone.distanceRequests:
         request.gjk_tolerance = request.epa_tolerance = 1e-9
@@ -56,7 +56,7 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
     hand: Hand,
 ) -> None:
     geometry = all_pairs(hand).geometry
-    used, fresh = (CollisionLimit(hand, ShapePairs(geometry, ())) for _ in range(2))
+    used, fresh = (MeasuredPairs(hand, ShapePairs(geometry, ())) for _ in range(2))
     for posture in (hand.rest, hand.lower_limits, hand.upper_limits):
         q = hand.configuration_vector(posture, np.eye(4))
         used.within(q, horizon=HORIZON)
@@ -68,7 +68,7 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand).geometry
     geometry.removeAllCollisionPairs()
-    near = CollisionLimit(hand, ShapePairs(geometry, ())).within(
+    near = MeasuredPairs(hand, ShapePairs(geometry, ())).within(
         hand.configuration().q, horizon=HORIZON
     )
     assert near.pairs.shape == (0,)
@@ -83,7 +83,7 @@ def test_no_pair_of_any_hand_is_nearer_than_it_is_measured(name: str) -> None:
     hand = load_hand(name)
     geometry = all_pairs(hand).geometry
     measured, placed = (
-        CollisionLimit(hand, ShapePairs(geometry, ())),
+        MeasuredPairs(hand, ShapePairs(geometry, ())),
         geometry.createData(),
     )
     data, rng = hand.model.createData(), np.random.default_rng(2)

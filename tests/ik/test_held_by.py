@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_core.ik.result import IkResult
 from handmap_qp import HandMapper, IkOptions, load_hand, read_recording
@@ -40,8 +41,7 @@ def test_links_that_press_on_each_other_are_named(
 ) -> None:
     ik, result = pressed(formulation, limit=limit)
     assert len(result.held_by) == 2
-    limits = ik.gate.collisions
-    assert limits is not None
+    limits = MeasuredPairs.of(ik)
     near = limits.within(ik.gate.motion.q)
     links = limits.bounds.links
     gaps = [

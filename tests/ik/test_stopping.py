@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from ik_cases import two_joint_hand
 from marks import slow
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_qp import (
     Hand,
@@ -23,7 +24,6 @@ from handmap_qp.hands import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.ik import Gate, Motion
-from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.qp import PointIk
 
 TOLERANCE = 1e-4
@@ -40,7 +40,7 @@ class Case:
         except MissingExtraError:
             pytest.skip("example-robot-data is not installed")
         self.pairs: ShapePairs = all_pairs(self.hand)
-        self._limit = CollisionLimit(self.hand, pairs=self.pairs)
+        self._limit = MeasuredPairs(self.hand, pairs=self.pairs)
         self._configuration = self.hand.configuration()
 
     def nearest(self, q: np.ndarray) -> float:
@@ -56,9 +56,9 @@ class Case:
             for p in np.arange(1, count) / count
         )
 
-    def limit(self) -> CollisionLimit:
+    def limit(self) -> MeasuredPairs:
         """Return rows of the pairs within 12 mm."""
-        return CollisionLimit(self.hand, pairs=self.pairs, horizon=0.012)
+        return MeasuredPairs(self.hand, pairs=self.pairs, horizon=0.012)
 
     def random_q(self, rng: np.random.Generator) -> np.ndarray:
         """Return a random posture inside the limits, shape (n,)."""
@@ -396,7 +396,7 @@ def test_a_displacement_that_is_not_a_number_is_not_taken(case: Case) -> None:
     assert np.isfinite(gate.motion.q).all()
 
 
-def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> CollisionLimit:
+def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> MeasuredPairs:
     """Pair two shapes, each with its joint and its placement there."""
     geometry = pin.GeometryModel()
     for i, (parent, placement, shape) in enumerate(shapes):
@@ -407,7 +407,7 @@ def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> Collisi
     geometry.addCollisionPair(pin.CollisionPair(0, 1))
     spec = SimpleNamespace(collision=None)
     hand: Any = SimpleNamespace(model=model, spread=np.eye(model.nv), spec=spec)
-    return CollisionLimit(hand, ShapePairs(geometry, ()))
+    return MeasuredPairs(hand, ShapePairs(geometry, ()))
 
 
 def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
@@ -477,7 +477,7 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
         (0.0, 1.0, 0.0),
         CollisionSpec(pairs=(("palm", "finger"),)),
     )
-    limit, configuration = CollisionLimit(hand), hand.configuration()
+    limit, configuration = MeasuredPairs(hand), hand.configuration()
     distances = []
     for angle in (0.0, half_turn, -half_turn):
         configuration.place(hand.configuration_vector(np.array([angle, 0.0])))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from marks import crossed
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_core.human.recording import sample_columns
 from handmap_core.stream.rejoin import RejoinKind
@@ -221,10 +222,10 @@ def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -
     np.testing.assert_allclose(
         found.displacement, expected.displacement, atol=TOLERANCE
     )
-    assert copied.gate.collisions is not None
-    assert solver.gate.collisions is not None
-    apart = copied.gate.collisions.within(copied.configuration.q).found[:, 0]
-    expected_apart = solver.gate.collisions.within(solver.configuration.q).found[:, 0]
+    apart, expected_apart = (
+        MeasuredPairs.of(each).within(each.configuration.q).found[:, 0]
+        for each in (copied, solver)
+    )
     np.testing.assert_allclose(apart, expected_apart, atol=TOLERANCE)
 
 

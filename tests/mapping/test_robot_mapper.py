@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_core.human.sample import HumanSample, Verdict, human_name
 from handmap_core.ik.motion import Motion
@@ -301,8 +302,7 @@ def test_palms_turn_to_the_persons_soon_after_a_reference(
 
 def test_crossing_hands_do_not_overlap(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
-    limit = mapper.point_ik.gate.collisions
-    assert limit is not None
+    limit = MeasuredPairs.of(mapper.point_ik)
     nearest = np.inf
     placed = mapper.robot.configuration()
     for i in range(220):

@@ -15,6 +15,7 @@ import pytest
 import trimesh
 import yaml
 from made_hands import MadeHand, make_hand
+from oracles.shape_distances import MeasuredPairs
 from shared_hands import NAMES, load, shared_hands_folder
 
 from handmap_qp import Hand, HandError, cli, load_hand
@@ -51,7 +52,6 @@ from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import origin_of, parse_urdf, set_origin
-from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -495,7 +495,7 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     collision = find_collision_pairs(hand, all_pairs(hand))
     assert collision is not None
     described_hand = load_hand(msgspec.structs.replace(hand.spec, collision=collision))
-    limit = CollisionLimit(described_hand)
+    limit = MeasuredPairs(described_hand)
     configuration = described_hand.configuration()
     configuration.place(described_hand.configuration_vector(described_hand.rest))
     assert limit.within(configuration.q).found[:, 0].min() > collision.margin

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.shape_distances import MeasuredPairs
 from service_tools import CACHE, opening
 from strategies import generators, motion_of, rotations, translations
 
@@ -15,7 +16,6 @@ from handmap_core.ik.options import IkOptions
 from handmap_qp.apps.service.safety import CommandedRobot, SessionClock
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.qp import PointIk
 
 ROBOT = CACHE.robot("three_finger", None, None)
@@ -105,7 +105,7 @@ class Ways:
     def __init__(self, hand: Hand) -> None:
         self.hand, self.pairs = hand, all_pairs(hand)
         self._distances, self._placed = (
-            CollisionLimit(hand, pairs=self.pairs),
+            MeasuredPairs(hand, pairs=self.pairs),
             hand.configuration(),
         )
 

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from oracles.shape_distances import MeasuredPairs
 
 from handmap_qp import (
     HandMapper,
@@ -128,8 +129,7 @@ def press_on_plate(name: str, squeeze: float) -> float:
     """Return the force of a link on a plate of 6 mm between thumb and index finger [N]."""
     mapper = mapper_of(name, squeeze)
     hand = mapper.robot
-    limit = mapper.point_ik.gate.collisions
-    assert limit
+    limit = MeasuredPairs.of(mapper.point_ik)
     postures = commanded(name, squeeze)
     opened, closed = (hand.configuration_vector(postures[i]) for i in (_OPEN, _PINCH))
     # It stands across the line on which the links press.

@@ -10,7 +10,6 @@ from .configuration import (
     moved_by,
 )
 from .contact_yield import (
-    NEAR,
     ContactYield,
 )
 from .grasp import GraspFinger
@@ -45,7 +44,6 @@ __all__ = [
     "FINGERS",
     "LINK_MARGIN",
     "LONGEST_STOP",
-    "NEAR",
     "OTHER_SIDE",
     "SIDES",
     "SLIDING_STIFFNESS",

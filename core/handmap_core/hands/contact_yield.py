@@ -13,9 +13,12 @@ overlap by
     d_k = F_k max(0, A_kk + sum_{j != k} w_j c_kj),    c_kj = min(A_kj, 0),
 
 and by no more than the links' shapes allow. The weight w_j is 1 for a pair that touches, and 0 from
-`NEAR` on. No pair that may yield then presses by more than the largest F, where the pair with the
-largest force f_k has a sum above 0: `d_k = (A f)_k >= f_k (A_kk + sum c_kj)`, so `f_k <= F_k`.
-Where that sum is not above 0, as in one of eleven random sets of contacts, there is no bound.
+a distance of 1 mm on. No pair that may yield then presses by more than the largest F, where the
+pair with the largest force f_k has a sum above 0: `d_k = (A f)_k >= f_k (A_kk + sum c_kj)`, so
+`f_k <= F_k`. Where that sum is not above 0, as in one of eleven random sets of contacts, there is
+no bound.
+
+The compiled core computes the overlaps (`handmap/pairs.hpp`).
 """
 
 from collections.abc import Sequence
@@ -25,34 +28,9 @@ import numpy as np
 from handmap_core.models import YieldModel
 from handmap_core.se3 import Array
 
-NEAR = 1e-3
-"""Pairs that are farther apart than this count as not touching [m]."""
-
 
 class ContactYield(YieldModel, frozen=True, kw_only=True):
     """How far pairs of shapes may overlap in commands."""
-
-    def overlaps(
-        self, pairs: Array, G: Array, touching: Array, distances: Array
-    ) -> Array:
-        """Return how far pairs may overlap in one posture [m], shape (r,).
-
-        Args:
-            pairs: Their indices, shape (r,).
-            G: Rows of their distances in the active coordinates, shape (r, n).
-            touching: The same of the pairs that are nearer than `NEAR`, shape (t, n).
-            distances: Signed distances of those [m], shape (t,).
-        """
-        levers = np.abs(G)
-        usable = np.full_like(levers, np.inf)
-        np.divide(self.torques, levers, out=usable, where=levers > 0.0)
-        forces = np.minimum(self.forces[pairs], usable.min(axis=1, initial=np.inf))
-        weighted = self.compliances * G
-        alone = (weighted * G).sum(axis=1)
-        weights = np.clip(1.0 - distances / NEAR, 0.0, 1.0)
-        raised = np.minimum(weighted @ touching.T, 0.0) @ weights
-        gives = np.maximum(alone + raised, 0.0)
-        return np.minimum(forces * gives, self.depths[pairs])
 
 
 def common_yield(

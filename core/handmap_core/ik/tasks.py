@@ -19,12 +19,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_core.core import core
+from handmap_core.core import core, without_core
 from handmap_core.errors import InvalidOptionsError, expect
 from handmap_core.hands import AttachedPoints, Configuration, Hand
 from handmap_core.models import DistancesModel, encode
@@ -153,9 +153,9 @@ class PointDistances:
         """The core's own, without distances and weights."""
         return core.PointDistances(encode(self.model()))
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        return {name: value for name, value in vars(self).items() if name != "core"}
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state of a copy."""
+        return without_core(self)
 
     def model(self) -> DistancesModel:
         """Return its points and pairs, as the core has them."""

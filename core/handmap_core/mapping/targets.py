@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
-from handmap_core.core import core
+from handmap_core.core import core, without_core
 from handmap_core.hands import Names
 from handmap_core.ik import Task
 from handmap_core.se3 import Array, ArrayStruct
@@ -108,16 +108,6 @@ class TargetMap(Protocol):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
-
-
-def without_core(target_map: object) -> dict[str, object]:
-    """Return the attributes of a map but the core's own, which a copy makes again."""
-    own = core.TargetMap, core.PalmMap
-    return {
-        name: value
-        for name, value in vars(target_map).items()
-        if not isinstance(value, own)
-    }
 
 
 class CoreMap:

@@ -1,4 +1,56 @@
-// Pairs of shapes that are kept apart: see handmap_qp/ik/collision.py, whose names these are.
+// Pairs of shapes that are kept apart: rows of the QP, and bounds of distances on a path.
+//
+// For a pair of shapes a, b at the signed distance d, with the unit normal n from a to b,
+//
+//     d(q + dq) ~ d + n^T (J_b - J_a) dq >= margin
+//
+// becomes
+//
+//     -n^T (J_b - J_a) dq <= gain (d - margin)
+//
+// with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
+// (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
+// angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
+// the gate (gate.hpp) checks the whole displacement afterwards.
+//
+// Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
+// the QP has what the ones before it left. Where there is a horizon, a pair gets a row if another step
+// like the last one may bring it to its margin.
+//
+// A point of a shape moves by at most its lever times the turn of a joint. So the distance of a pair
+// changes by at most its `travel` on a straight path in joint space, the sum of levers times turns.
+//
+// Between two points of a path at which a distance is `a` and `b`, it is never below
+//
+//     (a + b - travel) / 2.
+//
+// Near pairs need more. Let n go from the normal at the one point to that at the other in proportion
+// to the path, in the axes of the last joint that moves both shapes. Two convex shapes are at least as
+// far apart as along n, which has no more than unit length. For each two points of theirs, the second
+// derivative of that is at most `(2 |change of n| + S) travel`, with S the sum of the turns between
+// the shapes. In those axes n changes by at most its change in the world and the sum C of the turns
+// that both shapes share. So the distance is never below
+//
+//     min(a, b) - (2 |change of n in the world| + 2 C + S) travel / 8.
+//
+// Where that does not suffice, the path is halved, until it does or a point of it is too near.
+//
+// There the rows were wrong: a link that lies flat on another one touches it next wherever it turns
+// to, and a row knows one pair of points. The points that meet there are then kept apart too. With the
+// normal n carried by the first shape, points p of it and r of the second one, as they are at the
+// start,
+//
+//     -n^T (J_b - J_a)(r) dq <= gain (n^T (r - p) - margin).
+//
+// For the same reason the end of the QP's step is measured before that. Pairs that have rows, and that
+// the step brings nearer and within their margin, get such rows of the points there, with their
+// margin, and the QP is solved again, a few times at most. Without them, links that are pressed flat
+// on each other rock from corner to corner for ever.
+//
+// Pairs may yield (handmap_core/hands/contact_yield.py): commanded links overlap by as much as presses
+// with a given force. Then all of the above counts from that overlap on, as of the posture where the
+// sample starts. A pair that overlaps by more, because the joints have moved since, must not come
+// nearer, and its row parts it.
 #pragma once
 
 #include <cstring>
@@ -54,7 +106,7 @@ struct Pair {
   Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
 };
 
-// Pairs nearer than this may touch each other's links: hands.contact_yield.NEAR [m].
+// Pairs that are farther apart than this count as not touching [m].
 constexpr double kYieldNear = 1e-3;
 
 // How far pairs may overlap in commands: see handmap_core/hands/contact_yield.py. A model.
@@ -611,7 +663,7 @@ class Pairs {
     return nearest - dip(change, 1.0, travel, bend) >= kKept;
   }
 
-  // How far below its ends a distance may be on a part of a path; see handmap_qp/ik/collision.py.
+  // How far below its ends a distance may be on a part of a path; see the top of this file.
   static double dip(const Vec3& change, double length, double travel, double bend) {
     return 0.125 * (2.0 * norm(change) + length * bend) * length * travel;
   }

@@ -14,6 +14,7 @@ from handmap_qp.hands import (
     pair_ends,
     paired,
 )
+from handmap_qp.ik import Gate, Motion
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.reference import solve_by_daqp
 from handmap_qp.se3 import Array
@@ -26,8 +27,8 @@ _COUNT = 2.0 * np.pi / 4096
 """Resolution of encoders [rad]."""
 _NOISE = 0.002
 """Noise of torques, a share of the largest."""
-_NEAR = 0.02
-"""Tips that are farther apart do not meet in a turn [m]."""
+_FARTHEST = np.pi
+"""No joint turns farther at once [rad]."""
 
 
 class Simulated:
@@ -71,8 +72,13 @@ class Simulated:
         self.range = hand.limits[:, own]
         shapes, fingers, *_ = all_pairs(hand)
         pinching = paired(shapes, [*compress(pair_ends(shapes), fingers)])
-        self._tips = CollisionLimit(hand, ShapePairs(pinching, ()))
-        self._placed = hand.configuration()
+        at_rest = hand.configuration_vector(hand.rest)
+        self._gate = Gate(
+            hand,
+            Motion.at_rest(at_rest, len(hand.active_columns)),
+            collisions=CollisionLimit(hand, ShapePairs(pinching, ())),
+        )
+        self._touching = np.zeros(len(self._gate.links) - 1)
         self._random = random = np.random.default_rng(int(seed))
         n = len(own)
         self.gain = random.uniform(0.8, 1.1, n)
@@ -138,11 +144,13 @@ class Simulated:
 
     def _allowed(self, step: Array) -> Array:
         """Return the step that stops and tips leave, each joint as its tendon gives way [rad]."""
-        self._placed.place(self._hand.configuration_vector(self.posture))
-        near = self._tips.within(self._placed.q, _NEAR)
-        nearing, apart = self._tips.rows(self._placed, near, 0.0)
-        columns = self._hand.joint_columns[self._own]
-        rows = nearing[:, columns], apart
+        gate = self._gate
+        gate.place(self._hand.configuration_vector(self.posture))
+        most = np.full(gate.limits.size, _FARTHEST)
+        posed = gate.rows(1.0 / self.rate, -most, most, self._touching)
+        assert posed is not None
+        nearing, apart = posed.behind(np.zeros(len(most)))
+        rows = nearing[:, self._hand.joint_columns[self._own]], apart
         lower, upper = self.stops - np.clip(self.q, *self.stops)
         stiffness = np.diag(1.0 / self.stretch)
         found = solve_by_daqp(stiffness, -step / self.stretch, lower, upper, rows)

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Hand, all_pairs, find_fingers
+from handmap_qp.ik import Gate, IkOptions, Motion
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.se3 import Array
 from .driver import Driver
@@ -14,6 +15,8 @@ Vector = tuple[float, float, float]
 ON_ITS_BACK: Vector = 0.0, 0.0, 1.0
 _HOME = 0.15
 """What home keeps from the ends of a range, a share of it."""
+_ANY_TIME = 1.0
+"""Time that a move takes, which bounds nothing: only its path counts [s]."""
 _LEAST = 0.2
 """What it keeps at least [rad]."""
 
@@ -45,7 +48,14 @@ class Space:
         palm = hand.frame_pose("palm", hand.rest)[:3, :3]
         self._weighted.gravity.linear = 9.81 * palm.dot(down) / np.linalg.norm(down)
         self._data = self._weighted.createData()
-        self._touch = CollisionLimit(hand, all_pairs(hand))
+        self._gate = Gate(
+            hand,
+            Motion.at_rest(
+                hand.configuration_vector(hand.rest), len(hand.active_columns)
+            ),
+            IkOptions(has_velocity_limits=False),
+            CollisionLimit(hand, all_pairs(hand)),
+        )
         # One line that is exact, and three on which some joints are ahead and some behind.
         random = np.random.default_rng(0)
         self._sides = random.choice([-1.0, 0.0, 1.0], (4, len(own)))
@@ -80,4 +90,10 @@ class Space:
         at = self.hand.configuration_vector(begin)
         moves = self.posture(ends) - begin
         order = self.hand.joint_columns.argsort()
-        return not any(self._touch.met_on(at, move) for move in moves[:, order])
+        return all(self._is_admitted(at, move) for move in moves[:, order])
+
+    def _is_admitted(self, at: Array, move: Array) -> bool:
+        """Return whether the gate admits a displacement (n,) at rest in a configuration (nq,)."""
+        self._gate.place(at)
+        admitted = self._gate.admit(move, move, _ANY_TIME)
+        return bool(np.allclose(admitted, move, rtol=0.0, atol=1e-9))
