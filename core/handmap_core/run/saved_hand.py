@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidInputError, expect
-from handmap_core.hands import GraspFinger, Names, Pad, Side
+from handmap_core.hands import GraspFinger, Pad, Side
 from handmap_core.hands.core_configuration import (
     CoreConfiguration,
     CoreFrame,
@@ -28,7 +28,7 @@ from handmap_core.se3 import (
     inverse_pose,
     quat_wxyz_from_rotation,
 )
-from .records import HandRecord, PointRecord
+from .records import FingerRecord, HandRecord, PointRecord
 
 if TYPE_CHECKING:
     from handmap_core import _core
@@ -47,8 +47,11 @@ class SavedHand:
     Attributes:
         record: As given.
         parts: As given.
+        hands: The same, or this hand alone.
         model: Its tree of joints.
         grasp: What grips, the thumb first; empty where nothing does.
+
+    All others are those of `Hand`.
     """
 
     unscaled = None
@@ -56,12 +59,34 @@ class SavedHand:
     def __init__(self, record: HandRecord, parts: Sequence[SavedHand] = ()) -> None:
         self.record = record
         self.parts = tuple(parts)
+        self.hands = self.parts or (self,)
+        self.name = record.name
+        self.side: Side = record.side
+        self.upright = record.upright
+        self.is_floating = record.is_floating
+        self.has_floating_base = record.has_floating_base
+        self.joint_names = record.joint_names
+        self.rules = record.followers
+        self.velocity_limits = record.velocity_limits
+        self.wrist_speeds = record.wrist_speeds
+        self.active_columns = record.active_columns
+        self.moves_wrist = record.moves_wrist
         self.reference_points = record.points
-        self.model = CoreTree(record.model)
+        self.point_weights = record.point_weights
+        self.palm_weights = record.palm_weights
+        self.grasp = tuple(map(_grasp_finger, record.grasp))
         own = record.model
+        self.model = CoreTree(own)
         self.limits = frozen(np.array([own.lower, own.upper]))
         self.lower_limits, self.upper_limits = self.limits
+        self.rest = own.rest
+        self.spread = own.spread
+        self.joint_columns = own.joint_columns
+        self.q_indices = own.q_indices
+        self.finger_joints = own.fingers > 0.0
         self.wrist_frames = [CoreFrame.of(place) for place in own.wrists]
+        self.wrist_frame = self.wrist_frames[0]
+        self.has_moving_wrist = self.wrist_frame.parentJoint > 0
         self.palm_frame = CoreFrame.of(own.palm)
         self.point_frames = [
             CoreFrame(joint + 1, CorePose(_shifted(offset)))
@@ -69,14 +94,6 @@ class SavedHand:
         ]
         self._wrist_to_root = inverse_pose(own.wrists[0].placement)
         self.wrist_to_palm = frozen(self._wrist_to_root @ own.palm.placement)
-        self.grasp = tuple(
-            GraspFinger(
-                Pad(each.joint, each.offset, each.radius, each.cover),
-                each.columns,
-                each.is_jaw,
-            )
-            for each in record.grasp
-        )
 
     def __reduce__(
         self,
@@ -88,111 +105,6 @@ class SavedHand:
     def tree(self) -> _core.Tree:
         """The kinematics of the compiled core."""
         return core.Tree(encode(self.record.model))
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.record.name
-
-    @property
-    def side(self) -> Side:
-        """Side of the body that it belongs to."""
-        return self.record.side
-
-    @property
-    def upright(self) -> str:
-        """Axes of its world that are up and forward."""
-        return self.record.upright
-
-    @property
-    def is_floating(self) -> bool:
-        """Whether the wrist is free to move."""
-        return self.record.is_floating
-
-    @property
-    def has_floating_base(self) -> bool:
-        """Whether a robot walks or drives."""
-        return self.record.has_floating_base
-
-    @property
-    def has_moving_wrist(self) -> bool:
-        """Whether free coordinates or joints of an arm move the wrist."""
-        return self.wrist_frame.parentJoint > 0
-
-    @property
-    def joint_names(self) -> Names:
-        """The n joints of every `q`, in its order."""
-        return self.record.joint_names
-
-    @property
-    def rules(self) -> Names:
-        """Names of the joints that follow others."""
-        return self.record.followers
-
-    @property
-    def velocity_limits(self) -> Array:
-        """Speed limits [rad/s or m/s], shape (n,)."""
-        return self.record.velocity_limits
-
-    @property
-    def wrist_speeds(self) -> tuple[float, float]:
-        """Speed limits of a floating wrist [m/s, rad/s]."""
-        return self.record.wrist_speeds
-
-    @property
-    def rest(self) -> Array:
-        """Rest posture [rad or m], shape (n,)."""
-        return self.record.model.rest
-
-    @property
-    def spread(self) -> Array:
-        """From the active coordinates to those of the model, shape (nv, k)."""
-        return self.record.model.spread
-
-    @property
-    def active_columns(self) -> Array:
-        """Indices of the active coordinates among those of the model, shape (k,)."""
-        return self.record.active_columns
-
-    @property
-    def joint_columns(self) -> Array:
-        """Indices of the joints among the active coordinates, shape (n,)."""
-        return self.record.model.joint_columns
-
-    @property
-    def q_indices(self) -> Array:
-        """Indices of the joints in a configuration, shape (n,)."""
-        return self.record.model.q_indices
-
-    @property
-    def point_weights(self) -> Array:
-        """Weights of the reference points, shape (m,)."""
-        return self.record.point_weights
-
-    @property
-    def palm_weights(self) -> Array:
-        """Weights of the palm's points, by finger, shape (5,)."""
-        return self.record.palm_weights
-
-    @property
-    def finger_joints(self) -> Array:
-        """Which joints move points of each of its h hands, and no wrist, shape (h, n)."""
-        return self.record.model.fingers > 0.0
-
-    @property
-    def moves_wrist(self) -> Array:
-        """Which joints move the wrist, shape (n,)."""
-        return self.record.moves_wrist
-
-    @property
-    def wrist_frame(self) -> CoreFrame:
-        """Frame of the wrist, or of the first one of a robot."""
-        return self.wrist_frames[0]
-
-    @property
-    def hands(self) -> tuple[SavedHand, ...]:
-        """The hands of a robot that is moved as one; else this hand alone."""
-        return self.parts or (self,)
 
     def configuration(self) -> CoreConfiguration:
         """Return a new workspace for this hand, for one user at a time."""
@@ -259,6 +171,12 @@ class Landmarks(SavedHand):
     def __init__(self, record: HandRecord, parts: Sequence[SavedHand] = ()) -> None:
         super().__init__(record, parts)
         self.reference_points: tuple[PointRecord, ...] = record.landmarks
+
+
+def _grasp_finger(record: FingerRecord) -> GraspFinger:
+    """Return a finger that grips, from its record."""
+    pad = Pad(record.joint, record.offset, record.radius, record.cover)
+    return GraspFinger(pad, record.columns, record.is_jaw)
 
 
 def _shifted(offset: Array) -> Array:
