@@ -34,6 +34,7 @@ from run_cases import (
     write_case,
 )
 
+from handmap_core.hands import Hand as HandProtocol
 from handmap_core.run import load
 from handmap_core.run import load_robot as load_saved_robot
 from handmap_qp import (
@@ -381,6 +382,85 @@ def test_the_loop_of_the_page_runs(saved: Path) -> None:
     out = subprocess.check_output([sys.executable, *words], env=variables, text=True)
     assert out.startswith(" 0.00 s")
     assert len(out.splitlines()) == 5
+
+
+ATTRIBUTES = [
+    name for name, value in vars(HandProtocol).items() if isinstance(value, property)
+]
+KINEMATIC = {"tree", "model", "point_frames", "wrist_frame", "palm_frame"}
+"""Compared by what is computed with them."""
+
+
+def check_equal(found: Any, expected: Any, name: str) -> None:
+    """Check that two attributes of hands are equal, points and hands by their names."""
+    if isinstance(expected, np.ndarray):
+        np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=name)
+    elif name in ("hands", "parts"):
+        assert [hand.name for hand in found] == [hand.name for hand in expected], name
+    elif name == "reference_points":
+        places = [(point.name, point.link, point.xyz) for point in found]
+        assert places == [(each.name, each.link, each.xyz) for each in expected]
+    elif name == "rules":
+        assert [*found] == [*expected]
+    else:
+        assert found == expected, name
+
+
+def check_same_hand(found: HandProtocol, expected: HandProtocol) -> None:
+    """Check that a saved hand has all attributes of the one that was saved."""
+    assert len(ATTRIBUTES) > 25
+    for name in {*ATTRIBUTES} - KINEMATIC - {"unscaled"}:
+        check_equal(getattr(found, name), getattr(expected, name), name)
+
+
+@pytest.mark.parametrize("name", ["shadow_right", "inspire_right", "ur5_allegro"])
+def test_a_saved_hand_has_what_the_hand_has(tmp_path: Path, name: str) -> None:
+    mapper = mapper_of(name, "teleoperation")
+    write_case(tmp_path, "case", mapper, recording_with(""))
+    own = load(tmp_path / "case.hand").mapper
+    check_same_hand(own.robot, mapper.robot)
+    check_same_hand(own.human, mapper.human)
+
+
+def test_a_saved_robot_has_what_the_robot_has(
+    saved_robot: Path, g1: RobotMapper
+) -> None:
+    own = load_saved_robot(saved_robot).mapper
+    check_same_hand(own.robot, g1.robot)
+    for side, source in own.sources.items():
+        check_same_hand(source.robot, g1.sources[side].robot)
+    # It walks.
+    own.base_pose = np.eye(4)
+
+
+def test_settings_are_saved(tmp_path: Path) -> None:
+    mapper = HandMapper(
+        load_hand("human", points="landmarks"),
+        load_hand("three_finger"),
+        preset="teleoperation",
+        scale=0.5,
+        avoids_contact=False,
+        ik=IkOptions(damping=0.7),
+        dt=0.02,
+        joint_tolerance=0.1,
+        quat_order="xyzw",
+    )
+    write_case(tmp_path, "case", mapper, recording_with(FAULTS[1]))
+    follower = load(tmp_path / "case.hand")
+    own = follower.mapper
+    assert own.ik == mapper.ik
+    assert own.dt == mapper.dt
+    assert own.joint_tolerance == mapper.joint_tolerance
+    assert own.quat_order == mapper.quat_order
+    library = Follower(mapper)
+    for i in range(30):
+        sample = DEMO.sample(i)
+        found = follower.map_sample(sample)
+        expected = library.map_sample(sample)
+        np.testing.assert_allclose(found.command.q, expected.command.q, atol=1e-12)
+        wrist = expected.command.wrist
+        np.testing.assert_allclose(found.command.wrist, wrist, atol=1e-12)
+        assert found.asked.margins is expected.asked.margins is None
 
 
 @pytest.mark.parametrize("name", ["three_finger", "shadow_right", "allegro_right"])
