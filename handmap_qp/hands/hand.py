@@ -18,7 +18,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import HandError, InvalidInputError, expect
-from handmap_core.hands import CONTACT_GAP, LONGEST_STOP, Side, Values, moved_by
+from handmap_core.hands import (
+    CONTACT_GAP,
+    LONGEST_STOP,
+    Side,
+    Values,
+    joints_at_limit,
+    moved_by,
+)
 from handmap_core.se3 import (
     Array,
     Arrays,
@@ -299,7 +306,7 @@ class Hand:
 
     def at_position_limit(self, q: Array) -> Array:
         """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""
-        return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
+        return joints_at_limit(q, self.limits)
 
     def __repr__(self) -> str:
         """Name, side, mount, joints and points in one line."""

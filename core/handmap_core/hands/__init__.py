@@ -16,6 +16,7 @@ from .grasp import GraspFinger
 from .hand import (
     Hand,
     Point,
+    joints_at_limit,
 )
 from .names import (
     CONTACT_GAP,
@@ -65,5 +66,6 @@ __all__ = [
     "Pose",
     "Side",
     "Values",
+    "joints_at_limit",
     "moved_by",
 ]

@@ -18,6 +18,21 @@ if TYPE_CHECKING:
     from handmap_core import _core
 
 
+_AT_LIMIT = 1e-6
+"""Joints that are nearer to a limit are at it [rad or m]."""
+
+
+def joints_at_limit(q: Array, limits: Array) -> Array:
+    """Return which joints are at a position limit, shape (n,).
+
+    Args:
+        q: Joint positions [rad or m], shape (n,).
+        limits: Their lower and upper limits [rad or m], shape (2, n).
+    """
+    lower, upper = limits
+    return (q <= lower + _AT_LIMIT) | (q >= upper - _AT_LIMIT)
+
+
 class Point(Protocol):
     """A reference point of a hand: a place on a link."""
 

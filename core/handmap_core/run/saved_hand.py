@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from handmap_core.core import core
 from handmap_core.errors import InvalidInputError, expect
-from handmap_core.hands import GraspFinger, Pad, Side
+from handmap_core.hands import GraspFinger, Pad, Side, joints_at_limit
 from handmap_core.hands.core_configuration import (
     CoreConfiguration,
     CoreFrame,
@@ -32,9 +32,6 @@ from .records import FingerRecord, HandRecord, PointRecord
 
 if TYPE_CHECKING:
     from handmap_core import _core
-
-_AT_LIMIT = 1e-6
-"""Joints that are nearer to a limit are at it [rad or m]."""
 
 
 class SavedHand:
@@ -156,8 +153,7 @@ class SavedHand:
 
     def at_position_limit(self, q: Array) -> Array:
         """Return which joints are at a position limit, shape (n,)."""
-        lower, upper = self.limits
-        return (q <= lower + _AT_LIMIT) | (q >= upper - _AT_LIMIT)
+        return joints_at_limit(q, self.limits)
 
 
 class Landmarks(SavedHand):
