@@ -165,25 +165,22 @@ nb::list detours_of(Ik& ik) {
   return found;
 }
 
+// Posture that it passes, its targets, errors of points, and times left; see `Detour`.
+using DetourGiven = std::tuple<std::optional<Array>, Array, Array, double, double>;
+
 // Continue the motion on detours, as the hands do that these are copies of.
-void go_on(Ik& ik, const nb::object& given) {
-  std::vector<Detour> detours(ik.detours.size());
-  expect(nb::len(given) == detours.size(), "a detour for each hand");
-  for (size_t i = 0; i < detours.size(); ++i) {
-    const nb::object detour = item(given, i), via = item(detour, 0);
-    const Array points = nb::cast<Array>(item(detour, 1));
-    const Array known = nb::cast<Array>(item(detour, 2));
-    const size_t count = ik.tree.parts[i].end - ik.tree.parts[i].first;
-    Vector posture;
-    if (!via.is_none()) {
-      posture = vector_of(nb::cast<Array>(via));
-      expect(posture.size() == ik.tree.q_indices.size(), "wrong size of a detour");
-    }
-    detours[i] = {
-        std::move(posture),
-        points.size() == 3 * ik.tree.points.size() ? points_of(points) : std::vector<Vec3>(),
-        known.size() == count ? vector_of(known) : Vector(), nb::cast<double>(item(detour, 3)),
-        nb::cast<double>(item(detour, 4))};
+void go_on(Ik& ik, const std::vector<DetourGiven>& given) {
+  expect(given.size() == ik.detours.size(), "a detour for each hand");
+  std::vector<Detour> detours;
+  for (size_t i = 0; i < given.size(); ++i) {
+    const auto& [via, points, known, left, wait] = given[i];
+    if (via) expect_size(*via, ik.tree.q_indices.size(), "a detour");
+    // Others are those of a hand without a detour.
+    const bool has_points = points.size() == 3 * ik.tree.points.size();
+    const bool is_known = known.size() == ik.tree.parts[i].end - ik.tree.parts[i].first;
+    detours.push_back({via ? vector_of(*via) : Vector(),
+                       has_points ? points_of(points) : std::vector<Vec3>(),
+                       is_known ? vector_of(known) : Vector(), left, wait});
   }
   ik.detours = std::move(detours);
 }
