@@ -41,9 +41,9 @@ class HandMapper(hand_mapper.HandMapper[TargetSource, PointIk]):
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
             rejected [rad].
-        **options: Options of the method of `preset`, as in
-            `HandMapper(human, robot, preset="object", ridge=0.01)`; without `preset` those of the
-            paper's method.
+        **options: Options of the method that is named, as in
+            `HandMapper(human, robot, "object", ridge=0.01)`; if none is, those of the paper's
+            method.
 
     Attributes:
         source: The human's side: the readers, the method for the two hands, and the reference.

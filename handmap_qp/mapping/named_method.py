@@ -25,7 +25,7 @@ def named_method(
         raise InvalidOptionsError(
             "a method is given, too", option="preset", advice="leave one of them out"
         )
-    if isinstance(method, str) and not options:
+    if isinstance(method, str):
         preset = method
     if preset is not None:
         named = get_preset(preset)

@@ -26,6 +26,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping import get_preset
 from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.method import (
     BoundMethod,
@@ -198,10 +199,17 @@ def test_the_short_form_takes_every_option_and_no_other() -> None:
     with pytest.raises(InvalidOptionsError) as raised:
         HandMapper(HUMAN, THREE, gain=1.0)
     assert raised.value.option == "gain"
-    for wrong in (3.0, "paper?", FingertipVectors):
+    named = HandMapper(HUMAN, THREE, "object", ridge=0.4)
+    assert named.method == get_preset("object").method.replaced(ridge=0.4)
+    assert named.ik == get_preset("object").ik
+    for wrong, option in (
+        (3.0, "method"),
+        (FingertipVectors, "method"),
+        ("paper?", "preset"),
+    ):
         with pytest.raises(InvalidOptionsError) as raised:
             HandMapper(HUMAN, THREE, wrong, ridge=0.1)  # ty: ignore[invalid-argument-type]
-        assert raised.value.option == "method"
+        assert raised.value.option == option
 
 
 # -- wrist-to-tip vectors
