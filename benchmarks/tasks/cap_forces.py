@@ -6,6 +6,9 @@ Each row is the mean over all grips of a mapping while the person turns the wris
 line of the pads and the cap turn, and of thumb and fingers the normal force, the moment about the
 cap's axis (positive in the sense of the turn), the vertical part of the friction, and the share of
 the friction that the normal force allows which is used. The cap rubs with 50 N mm.
+
+Heights are those of the middle between the pads' surfaces, over that of the cap's middle; its edges
+are at 10 mm. With `--raise 12` the person takes a place 12 mm higher for the cap's middle.
 """
 
 from __future__ import annotations
@@ -59,12 +62,24 @@ class Sample(NamedTuple):
         cap: Angle of the cap [rad].
         thumb: Press of the thumb.
         fingers: Press of all other links.
+        height: Height of the middle between the pads over the cap's [m].
     """
 
     direction: float
     cap: float
     thumb: Press
     fingers: Press
+    height: float
+
+
+class RaisedCap(CapTask):
+    """A cap whose middle the person sees higher than it is."""
+
+    by = 0.0
+    """How much higher [m]."""
+
+    def _faces(self, pose: Array) -> Array:
+        return super()._faces(pose) + np.array([0.0, 0.0, self.by])
 
 
 def contacts_of(task: CapTask) -> Iterator[tuple[str, Press]]:
@@ -102,7 +117,9 @@ def sample_of(task: CapTask, scene: Scene) -> Sample:
             fingers = fingers.plus(press)
     pad, other = scene.points["pads"]
     x, y, _ = other - pad
-    return Sample(math.atan2(y, x), moved(task.data), thumb, fingers)
+    middle = task.data.geom_xpos[task.model.geom(OBJECT).id]
+    height = float((pad + other)[2] / 2.0 - middle[2])
+    return Sample(math.atan2(y, x), moved(task.data), thumb, fingers, height)
 
 
 def turnings(
@@ -154,7 +171,9 @@ def columns_of(side: str, presses: Sequence[Press], friction: float) -> Row:
     }
 
 
-def row_of(method: str, hand: str, first: int, attempts: int) -> Row:
+def row_of(
+    method: str, hand: str, first: int, attempts: int, raised: float = 0.0
+) -> Row:
     """Return the row of a mapping.
 
     Args:
@@ -162,9 +181,11 @@ def row_of(method: str, hand: str, first: int, attempts: int) -> Row:
         hand: The robot hand.
         first: Seed of the calibration and of the first attempt.
         attempts: Number of attempts.
+        raised: How much higher than it is the person sees the cap [m].
     """
     robot = load_hand(hand)
-    task = CapTask(robot)
+    task = RaisedCap(robot)
+    task.by = raised
     person = Turner(robot)
     mapping = make_mapping(method, person, robot, first)
     seeds = range(first, first + attempts)
@@ -177,6 +198,7 @@ def row_of(method: str, hand: str, first: int, attempts: int) -> Row:
         "grips": len(grips),
         "pads turn [deg]": round(pads),
         "cap turns [deg]": round(cap),
+        "height [mm]": round(1e3 * float(np.mean([one.height for one in samples])), 1),
         **columns_of("thumb", [one.thumb for one in samples], friction),
         **columns_of("fingers", [one.fingers for one in samples], friction),
     }
@@ -191,9 +213,10 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=["teleoperation", "picking"])
     parser.add_argument("--seed", type=int, default=8800)
     parser.add_argument("--attempts", type=int, default=10)
+    parser.add_argument("--raise", type=float, default=0.0, dest="raised", help="[mm]")
     given = parser.parse_args()
     rows = [
-        row_of(method, given.hand, given.seed, given.attempts)
+        row_of(method, given.hand, given.seed, given.attempts, 1e-3 * given.raised)
         for method in given.methods
     ]
     print_result({}, {"Turning a cap": rows}, [], as_json=False)

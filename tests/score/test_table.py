@@ -31,7 +31,7 @@ from marks import rotated
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.errors import HandError
 from handmap_qp.hands import Hand, load_hand
-from handmap_qp.se3 import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, rotation_from_rpy, transform_points
 
 # Whole attempts in MuJoCo: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -360,19 +360,30 @@ def test_a_bar_is_taken_by_thumb_and_finger(
 
 
 @pytest.mark.parametrize(
-    ("height", "away", "is_taken", "is_reached"),
+    ("height", "away", "is_taken", "tilt", "is_reached"),
     [
-        (0.055, 0.07, True, True),
-        (0.045, 0.07, True, False),
-        (0.055, 0.05, True, False),
-        (0.055, 0.07, False, False),
+        (0.055, 0.07, True, 0.0, True),
+        (0.055, 0.07, True, 0.4, True),
+        (0.045, 0.07, True, 0.0, False),
+        (0.055, 0.05, True, 0.0, False),
+        (0.055, 0.07, False, 0.0, False),
+        # Its lower end is on the table.
+        (0.055, 0.07, True, 0.6, False),
+        (0.055, 0.07, True, -0.6, False),
     ],
 )
 def test_a_bar_is_handed_over_in_the_air_away_from_the_hand_that_gave_it(
-    giving: HandOverTask, height: float, away: float, is_taken: bool, is_reached: bool
+    giving: HandOverTask,
+    height: float,
+    away: float,
+    is_taken: bool,
+    tilt: float,
+    is_reached: bool,
 ) -> None:
     giving.reset(0)
+    tilted = rotation_from_rpy((0.0, tilt, 0.0))
     pose = giving._simulator.object_pose
+    pose[:3, :3] = tilted @ pose[:3, :3]
     palm = giving._simulator.wrist @ giving.robot.wrist_to_palm
     here = transform_points(inverse_pose(palm), pose[:3, 3])
     giving._given_at = here + np.array([away, 0.0, 0.0])

@@ -30,6 +30,8 @@ HEIGHT = 0.05
 """Height above its place at which the bar must be in the end [m]."""
 AWAY = 0.06
 """The giving hand has left when the bar is farther than this from where that hand had it [m]."""
+_IN_AIR = 0.005
+"""The bar's lower end must be higher than this above its place, else it leans on the table [m]."""
 _WIDTH, _LENGTH = 0.024, 0.2  # of the bar [m]
 _GRIP = 0.08  # distance of both grips from the middle of the bar [m]
 _APART = 0.2  # further distance of the other hand from the bar at the beginning [m]
@@ -162,7 +164,9 @@ class HandOverTask(TableTask):
         if self._given_at is None:
             return False
         is_away = float(np.linalg.norm(at - self._given_at)) > AWAY
-        return is_away and self._is_taken and touch.height > HEIGHT
+        lower_end = touch.height - abs(float(pose[2, 1])) * _LENGTH / 2.0
+        is_in_air = touch.height > HEIGHT and lower_end > _IN_AIR
+        return is_away and self._is_taken and is_in_air
 
     def _signals(self, pose: Array, pads: Array) -> Signals:
         """Measure the touch of both hands; the object is gripped if either hand has it."""
