@@ -381,8 +381,7 @@ void postures(Numbers& numbers) {
     Placed placed(tree);
     Vector q = numbers.vector(tree.nq, hostile);
     placed.place(q.data());
-    distances.place(placed);
-    distances.among(0, 1, 0.5);
+    distances.measure(placed, 0.5);
     ++calls;
   }
 }

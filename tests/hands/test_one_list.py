@@ -49,6 +49,7 @@ LINES = {
     "hands check": "hands check {}",
     "hands match": "hands match {}",
     "hands edit": "hands edit {}",
+    "hands save": "hands save {}",
     "track replay": "track replay demo --to 127.0.0.1 --robot {}",
     "track mediapipe": "track mediapipe --camera 0 --to 127.0.0.1 --robot {}",
 }

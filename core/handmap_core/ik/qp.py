@@ -39,11 +39,13 @@ class PointIk(Generic[Kept]):
 
     Attributes:
         gate: As given.
+        options: Weights and settings.
         core: The compiled core of this hand.
     """
 
     def __init__(self, gate: IkGate[Kept], tasks: Sequence[Task] = ()) -> None:
         self.gate = gate
+        self.options: IkOptions = gate.options
         self.core = gate.core
         self._tasks = tuple(tasks)
 
@@ -65,11 +67,6 @@ class PointIk(Generic[Kept]):
     def hand(self) -> Hand:
         """The hand."""
         return self.gate.hand
-
-    @property
-    def options(self) -> IkOptions:
-        """Weights and settings."""
-        return self.gate.options
 
     @property
     def is_compiled(self) -> bool:
