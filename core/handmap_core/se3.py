@@ -462,6 +462,7 @@ def _has_shape(array: Array, shape: tuple[int | str, ...]) -> bool:
 
 def smoothstep(x: ArrayLike) -> Array:
     """Go smoothly from 0 at 0 to 1 at 1, element by element."""
+    # Not above: where the core cannot be loaded, all else here works.
     from handmap_core.core import core
 
     x = np.asarray(x, dtype=float)

@@ -3,9 +3,6 @@
 Meshes count as their convex hulls. The compiled core measures the pairs, and has the rows and the
 bounds of distances (`handmap/pairs.hpp`). Here is what it needs of a hand: the shapes of each pair,
 and how far a change of each coordinate moves them.
-
-A point of a shape moves by at most its lever times the turn of a joint. So the distance of a pair
-changes by at most its `travel` on a straight path in joint space, the sum of levers times turns.
 """
 
 from __future__ import annotations

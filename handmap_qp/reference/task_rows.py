@@ -21,7 +21,7 @@ def task_rows(task: Task, hand: PinocchioConfiguration) -> TaskRows:
     """
     if type(task) is PointDistances:
         return distance_rows(task, hand)
-    if isinstance(task, PointOffset):
+    if type(task) is PointOffset:
         return offset_rows(task, hand)
     return task.linearise(hand)
 

@@ -22,14 +22,13 @@ def grasp_fingers(robot: Hand) -> tuple[GraspFinger, ...]:
 
 def has_grasp(robot: Hand) -> bool:
     """Return whether a robot hand has a thumb and a finger, or two jaws."""
-    names = robot_fingers(robot).names
-    return THUMB in names and len(names) > 1
+    return bool(grasp_fingers(robot))
 
 
 def can_grip(source: TargetSource | HandMapper) -> bool:
     """Return whether a `GripFollower` can hold what the robot hand of a source or mapper meets."""
     own = source.source if isinstance(source, HandMapper) else source
-    return hand_grip.has_pinches(own) and has_grasp(own.robot)
+    return hand_grip.can_grip(own, grasp_fingers(own.robot))
 
 
 def gripping_presets() -> Names:

@@ -415,3 +415,46 @@ def test_points_in_one_place_are_parted() -> None:
     residual, rows, _ = task.linearise(configuration)
     assert residual[0] == pytest.approx(-5.0)
     assert np.abs(rows).max() > 0.1
+
+
+class _Twice(PointOffset):
+    """An offset with other rows."""
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        rows = super().linearise(hand)
+        return TaskRows(2.0 * rows.residual, 2.0 * rows.jacobian)
+
+
+class _FarTwice(PointDistances):
+    """Distances with other rows."""
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        rows = super().linearise(hand)
+        return TaskRows(2.0 * rows.residual, 2.0 * rows.jacobian, 4.0 * rows.damping)
+
+
+@pytest.mark.parametrize("formulation", ["compiled", "direct"])
+def test_a_subclass_has_rows_of_its_own(formulation: Any) -> None:
+    hand = load_hand("three_finger")
+    options = IkOptions(formulation=formulation, max_iterations=1)
+    points = AttachedPoints.reference_points(hand)
+    places = [*zip(points.joints[:2], points.offsets[:2], strict=True)]
+    two = AttachedPoints(hand, places)
+    aim = np.array([0.0, 0.05, 0.0])
+    pairs = [(0, 1)]
+    twins: list[tuple[Any, Any]] = [
+        (_Twice(two, aim, 1.0), PointOffset(two, aim, 2.0)),
+        (_FarTwice(two, pairs, [0.05]), PointDistances(two, pairs, [0.05], [2.0])),
+    ]
+    for twin in twins:
+        ends = []
+        for task in twin:
+            ik = PointIk(hand, options)
+            ik.place(hand.configuration_vector(hand.rest))
+            placed = ik.configuration
+            wrist = placed.wrist.homogeneous
+            ends.append(ik.solve(placed.points, wrist, 0.1, tasks=[task]).q)
+        one, other = ends
+        np.testing.assert_allclose(one, other, atol=1e-7)
+        # It moves at all.
+        assert np.abs(one - hand.configuration_vector(hand.rest)).max() > 1e-3

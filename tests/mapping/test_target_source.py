@@ -155,7 +155,7 @@ def samples() -> dict:
 def test_an_error_of_any_kind_leaves_all_hands_as_they_were() -> None:
     mapper = RobotMapper(load_robot("g1"))
     mapper.map_landmarks(samples(), dt=DT)
-    before = {side: hand.saved() for side, hand in mapper.hands.items()}
+    before = {side: hand.snapshot() for side, hand in mapper.hands.items()}
     stamp = mapper.point_ik.gate.stamp
 
     def request_of(side: str) -> RequestStep:
@@ -165,12 +165,12 @@ def test_an_error_of_any_kind_leaves_all_hands_as_they_were() -> None:
         raise ZeroDivisionError
 
     mapper.clutch()
-    engaged = {side: hand.saved() for side, hand in mapper.hands.items()}
+    engaged = {side: hand.snapshot() for side, hand in mapper.hands.items()}
     with pytest.raises(ZeroDivisionError):
         mapper.step(["right", "left"], request_of)
     for side, hand in mapper.hands.items():
-        assert hand.saved() == engaged[side]
-        assert hand.saved() != before[side]
+        assert hand.snapshot() == engaged[side]
+        assert hand.snapshot() != before[side]
     assert mapper.point_ik.gate.stamp == stamp
 
 
@@ -178,10 +178,10 @@ def test_a_hand_that_asks_to_stay_changes_nothing_by_itself() -> None:
     mapper = RobotMapper(load_robot("g1"))
     mapper.map_landmarks(samples(), dt=DT)
     hand = mapper.hands["left"]
-    before = hand.saved()
+    before = hand.snapshot()
     held = hand.hold(DT)
     assert held.request.map is None
-    assert hand.saved() == before
+    assert hand.snapshot() == before
     assert not hand.is_staying
     # It moves nothing either.
     np.testing.assert_allclose(

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import copy
 import itertools
+import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -25,7 +28,7 @@ from handmap_core.run import load
 from handmap_core.run import load_robot as load_saved_robot
 from handmap_qp import HandMapper, HumanSample, load_hand
 from handmap_qp.apps.saving import saved_bytes
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, MapperBusyError
 from handmap_qp.hands import Side, load_robot
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.stream import Follower, GripOptions, RobotFollower, RobotGripFollower
@@ -161,3 +164,40 @@ def test_one_error_for_what_is_no_grip(tmp_path: Path) -> None:
     first = next(iter(samples()))
     with pytest.raises(InvalidInputError, match="measured_q"):
         follower.map_sample(first, measured_q=[0.0, 0.0, 0.0])
+
+
+def test_another_thread_leaves_no_terms_behind(tmp_path: Path) -> None:
+    hand = load_hand("panda_gripper")
+    follower = load(saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation")))
+    mapper = follower.mapper
+    ran = run(grip_follower(hand))
+    pick = [*samples()]
+    *_, last = (
+        follower.map_sample(sample, measured_q=measured)
+        for sample, (_, measured) in zip(pick, ran, strict=True)
+    )
+    assert last.command.effort is not None
+    gripping = follower.gripping
+    assert gripping is not None
+    assert gripping.hand_grip.terms
+    inside = follower.follower.map_sample
+    refused = []
+
+    def interrupted(*given: Any, **named: Any) -> Any:
+        def meddle() -> None:
+            try:
+                mapper.set_tasks(())
+            except MapperBusyError as error:
+                refused.append(error)
+
+        thread = threading.Thread(target=meddle)
+        thread.start()
+        thread.join()
+        return inside(*given, **named)
+
+    later = replace(pick[-1], time=pick[-1].time + 0.02)
+    with patch.object(follower.follower, "map_sample", interrupted):
+        follower.map_sample(later, measured_q=hand.rest)
+    # The whole sample is one thread's, so that its terms are taken back by the same.
+    assert refused
+    assert mapper.tasks == ()

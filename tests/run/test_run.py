@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from pickle import dumps, loads
 from typing import Any
 
 import msgspec
@@ -134,6 +135,21 @@ def test_both_packages_are_in_one_process(saved: Path) -> None:
         assert given.ik.iterations == expected.ik.iterations
 
 
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda one: loads(dumps(one))])
+def test_a_copy_has_what_is_read_only(saved: Path, way: Callable[[Any], Any]) -> None:
+    follower = load(saved)
+    both = [follower, way(follower)]
+    for each in both:
+        hand = each.mapper.robot
+        arrays = [getattr(hand, name) for name in ("rest", "spread", "finger_joints")]
+        assert not any(array.flags.writeable for array in arrays)
+    for i in range(3):
+        found, expected = (each.map_sample(DEMO.sample(i)).command for each in both)
+        np.testing.assert_array_equal(found.q, expected.q)
+        np.testing.assert_array_equal(found.wrist, expected.wrist)
+    assert both[0].mapper.motion.time == both[1].mapper.motion.time
+
+
 @pytest.fixture(scope="module")
 def g1() -> RobotMapper:
     return robot_mapper_of("g1", "teleoperation", PINCH, turns_in=1.0)
@@ -219,6 +235,11 @@ def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
         (lambda content: content[:-100], "another or a damaged file"),
         (lambda content: b"PK" + content, "another or a damaged file"),
         (
+            lambda content: content.replace(b"handmap hand", b"\xffandmap hand", 1),
+            "another or a damaged file",
+        ),
+        (lambda content: b"\x91" * 100_000, "another or a damaged file"),
+        (
             lambda content: content[:-900] + b"?" + content[-899:],
             "damaged; copy it again",
         ),
@@ -231,7 +252,7 @@ def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
             "of form 9, expected 4 or less; install a newer handmap-core",
         ),
     ],
-    ids=["empty", "torn", "other", "damaged", "version", "form"],
+    ids=["empty", "torn", "other", "text", "nested", "damaged", "version", "form"],
 )
 def test_another_file_is_refused(
     saved: Path, change: Callable[[bytes], bytes], said: str
@@ -270,8 +291,10 @@ def test_a_file_of_a_former_form_says_how_to_save_it_again(
         (lambda tree: tree["robot"].update(joint_names=[]), "does not fit"),
         (lambda tree: tree["settings"]["ik"].update(damping=-1.0), "damping"),
         (lambda tree: tree["method"].update(type="other"), "type"),
+        (lambda tree: tree["robot"]["grasp"][0].update(joint=999), "does not fit"),
+        (lambda tree: tree["method"]["model"].update(human_points=3), "does not fit"),
     ],
-    ids=["record", "field", "side", "joints", "options", "method"],
+    ids=["record", "field", "side", "joints", "options", "method", "pad", "targets"],
 )
 def test_fields_of_another_version_are_refused(
     saved: Path, change: Callable[[dict[str, Any]], object], said: str
@@ -431,6 +454,24 @@ def test_a_saved_robot_has_what_the_robot_has(
         check_same_hand(source.robot, g1.sources[side].robot)
     # It walks.
     own.base_pose = np.eye(4)
+
+
+def test_a_robot_whose_options_alone_keep_links_apart(tmp_path: Path) -> None:
+    ik = get_preset("object").ik.replaced(avoids_self_collision=True)
+    mapper = RobotMapper(load_robot("g1"), HUMANS, "object", ik=ik)
+    file = tmp_path / "g1.hand"
+    file.write_bytes(saved_bytes(mapper))
+    follower = load_saved_robot(file)
+    assert [*follower.mapper.pinching] == [*mapper.pinching] == []
+    library = RobotFollower(mapper)
+    # Python maps first samples, and those of one hand.
+    turns: list[tuple[Side, ...]] = [("left", "right"), ("left",), ("right",)]
+    for i, sides in enumerate(4 * turns):
+        samples = {side: PINCH[side].sample(i) for side in sides}
+        found, expected = (
+            each.map_samples(samples).command for each in (follower, library)
+        )
+        np.testing.assert_allclose(found.q, expected.q, atol=1e-9)
 
 
 def test_settings_are_saved(tmp_path: Path) -> None:

@@ -144,10 +144,10 @@ class PointIk(Generic[Kept]):
         offsets = []
         others = []
         for task in goal.tasks:
-            # A subclass may have other rows.
+            # Subclasses may have other rows.
             if type(task) is PointDistances:
                 distances.append((task.core, task.distances, task.weights))
-            elif isinstance(task, PointOffset):
+            elif type(task) is PointOffset:
                 offsets.append(task.core_offset)
             else:
                 others.append(task)

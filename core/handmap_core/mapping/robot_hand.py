@@ -48,7 +48,7 @@ class HandState(ArrayStruct, frozen=True, kw_only=True):
     base: Array = HOME
 
 
-class SavedHand(NamedTuple):
+class HandSnapshot(NamedTuple):
     """State of a hand, its source in the core, and the reference of both."""
 
     state: HandState
@@ -232,13 +232,13 @@ class RobotHand(Generic[Source, AnySolver]):
 
     # -- for the robot's mapper
 
-    def saved(self) -> SavedHand:
+    def snapshot(self) -> HandSnapshot:
         """Return what `restore` takes to take back what is done from now on."""
-        return SavedHand(self.state, self.core, self.source.counted_from)
+        return HandSnapshot(self.state, self.core, self.source.counted_from)
 
-    def restore(self, saved: SavedHand) -> None:
-        """Take back what was done since `saved`."""
-        self.state, self.core, self.source.counted_from = saved
+    def restore(self, snapshot: HandSnapshot) -> None:
+        """Take back what was done since `snapshot`."""
+        self.state, self.core, self.source.counted_from = snapshot
 
     def advance(self, step: RequestStep, base: Array) -> None:
         """Take a step that the robot is to be moved for.

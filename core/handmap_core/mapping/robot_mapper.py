@@ -465,12 +465,12 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
     @contextmanager
     def _unchanged_by_errors(self) -> Iterator[None]:
         """Let an error leave all hands as they were."""
-        before = [(hand, hand.saved()) for hand in self.hands.values()]
+        before = [(hand, hand.snapshot()) for hand in self.hands.values()]
         try:
             yield
         except BaseException:
-            for hand, saved in before:
-                hand.restore(saved)
+            for hand, snapshot in before:
+                hand.restore(snapshot)
             raise
 
     def _hand(self, side: Side) -> RobotHand[Source, AnySolver]:

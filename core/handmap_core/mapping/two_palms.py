@@ -63,12 +63,14 @@ def aimed(request: AnyRequest, world: Array, share: float) -> AimedHand:
     target_map = request.map
     if target_map is None:
         return AimedHand(request.targets)
-    targets = moved_by(world, request.targets)
+    targets = with_moved_targets(world, request.targets)
     if not isinstance(target_map, PalmMap):
         return AimedHand(targets)
     person = world @ target_map.person_at(request.pose)
     palm = LedPalm(target_map, core.LedPalm(target_map.core_palm, person))
-    return AimedHand(moved_by(palm.core.turn(targets.wrist, share), targets), palm)
+    return AimedHand(
+        with_moved_targets(palm.core.turn(targets.wrist, share), targets), palm
+    )
 
 
 def brought_together(
@@ -99,7 +101,7 @@ def brought_together(
     for hand, palm, motion, part in zip(
         hands, palms, motions, robot.hands, strict=True
     ):
-        moved.append(AimedHand(moved_by(motion, hand.targets), palm))
+        moved.append(AimedHand(with_moved_targets(motion, hand.targets), palm))
         frame = part.palm_frame
         placement = frame.placement.homogeneous
         anchor = transform_points(placement, palm.map.robot_anchor)
@@ -108,7 +110,7 @@ def brought_together(
     return moved, (PointOffset(points, aim, TOGETHER_SHARE * share * weight),)
 
 
-def moved_by(motion: Array, targets: Targets) -> Targets:
+def with_moved_targets(motion: Array, targets: Targets) -> Targets:
     """Return the targets of a hand after a motion, shape (4, 4)."""
     points = transform_points(motion, targets.points)
     return structs.replace(targets, points=points, wrist=motion @ targets.wrist)

@@ -6,7 +6,7 @@
     step = follower.map_sample(HumanSample(time, "right", landmarks))
     step.command.q                                  # in the order of step.command.joint_names
 
-With the joints that its encoders measure, the hand holds what it meets, by torques that it says:
+With the joints that its encoders measure, the hand holds what it meets, by the torques of the grip:
 
     step = follower.map_sample(sample, measured_q=motors.read())
     step.command.effort                             # [N m or N]; None without a grip

@@ -44,7 +44,8 @@ class GrippingFollower(Generic[AnyMapper]):
     ) -> None:
         self.follower = follower
         self.gripping: GripFollower[AnyMapper] | None = None
-        if is_asked(grip) and can_grip(follower.mapper.source, fingers):
+        check_grip(grip)
+        if grip is not None and can_grip(follower.mapper.source, fingers):
             self.gripping = GripFollower(follower, fingers, grip)
 
     # A shallow copy would move the same robot.
@@ -94,12 +95,11 @@ class GrippingFollower(Generic[AnyMapper]):
         return self.follower.map_samples(samples, progress)
 
 
-def is_asked(grip: GripOptions | None) -> bool:
-    """Return whether a hand holds what it meets.
+def check_grip(grip: GripOptions | None) -> None:
+    """Reject what does not say how a hand holds what it meets.
 
     Raises:
         InvalidInputError: If `grip` is neither options nor None.
     """
     wanted = "a GripOptions, or None to hold nothing"
     expect(isinstance(grip, GripOptions | None), "grip", wanted, value=grip)
-    return grip is not None

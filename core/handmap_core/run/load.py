@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,9 +12,11 @@ from handmap_core.ik import Motion, PointDistances
 from handmap_core.ik.gate import IkGate
 from handmap_core.ik.qp import PointIk
 from handmap_core.ik.tasks import AttachedPoints
+from handmap_core.mapping import HumanPose
 from handmap_core.mapping.estimation import MotionEstimator
 from handmap_core.mapping.hand_mapper import HandMapper
 from handmap_core.mapping.homogeneous import BoundHomogeneous
+from handmap_core.mapping.moving_robot import MovingRobot
 from handmap_core.mapping.robot_mapper import RobotMapper
 from handmap_core.mapping.target_source import TargetSource
 from handmap_core.mapping.teleoperation import BoundTeleoperation, PalmFollowing
@@ -83,6 +85,7 @@ def load(
         solver = _solver(robot, settings, content.collisions)
         mapper = HandMapper(source, solver, settings.dt)
         guard = StreamGuard(human, KnownOrders(settings.orders))
+        _try_out(mapper.moving_robot, [source])
     follower = Follower(mapper, guard, rejoin=rejoin, smoothing=smoothing)
     return GrippingFollower(follower, robot.grasp, grip)
 
@@ -117,15 +120,30 @@ def load_robot(
             _solver(whole, settings, content.collisions),
             settings.dt,
             pinching=[
-                np.array([each.pinching, each.among_own])
-                for each in content.hands
-                if content.collisions is not None
+                np.array([each.of_robot, each.of_hand]) for each in content.pinching
             ],
             turns_in=content.turns_in,
         )
+        _try_out(mapper.moving_robot, sources.values())
     follower = RobotFollower(mapper, guards, rejoin=rejoin, smoothing=smoothing)
     fingers = {hand.side: hand.grasp for hand in parts}
     return GrippingRobotFollower(follower, fingers, grip)
+
+
+def _try_out(robot: MovingRobot[SavedIk], sources: Iterable[SavedSource]) -> None:
+    """Make what is otherwise made at a first sample, so that wrong numbers are found here.
+
+    Args:
+        robot: The robot.
+        sources: The human's side of each of its hands.
+    """
+    for source in sources:
+        human = source.human
+        at_rest = HumanPose(human.points(human.rest, np.eye(4)), np.eye(4))
+        reference = source.reference_at(at_rest, robot.q)
+        reference.map.targets(at_rest)
+        hand = source.bound.robot
+        AttachedPoints(hand, [finger.pad.place for finger in hand.grasp])
 
 
 @contextmanager

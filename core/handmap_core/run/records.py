@@ -197,15 +197,23 @@ class SideRecord(Model, frozen=True, kw_only=True):
         human: The person's hand.
         robot: The robot's, whose `q` has all joints of the robot.
         method: How the one follows the other.
-        pinching: Pairs of shapes of thumb and fingers, among those of the robot, shape (r,).
-        among_own: The same pairs among those of the hand, shape (r,).
     """
 
     human: HandRecord
     robot: HandRecord
     method: MethodRecord
-    pinching: Indices
-    among_own: Indices
+
+
+class PinchingRecord(Model, frozen=True, kw_only=True):
+    """Pairs of shapes of the thumb and the fingers of one hand.
+
+    Attributes:
+        of_robot: Their indices among the pairs of the robot, shape (r,).
+        of_hand: Their indices among the pairs of the hand, shape (r,).
+    """
+
+    of_robot: Indices
+    of_hand: Indices
 
 
 class RobotFile(Model, frozen=True, kw_only=True):
@@ -214,6 +222,7 @@ class RobotFile(Model, frozen=True, kw_only=True):
     Attributes:
         robot: The robot as one hand.
         hands: Its hands, in the order of their sides.
+        pinching: What pinches, of each hand; empty if no method keeps links apart.
         collisions: What it keeps apart; None for nothing.
         turns_in: Time after a reference until palms have the person's directions [s].
         settings: How it follows.
@@ -221,6 +230,7 @@ class RobotFile(Model, frozen=True, kw_only=True):
 
     robot: HandRecord
     hands: tuple[SideRecord, ...]
+    pinching: tuple[PinchingRecord, ...]
     collisions: CollisionsRecord | None
     turns_in: float
     settings: SettingsRecord

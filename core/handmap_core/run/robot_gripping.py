@@ -15,7 +15,7 @@ from handmap_core.mapping.robot_step import RobotStep
 from handmap_core.stream.grip import RobotGripFollower
 from handmap_core.stream.hand_grip import GripOptions, can_grip
 from handmap_core.stream.robot_follower import AnyRobot, RobotFollower
-from .gripping import is_asked
+from .gripping import check_grip
 
 
 class GrippingRobotFollower(Generic[AnyRobot]):
@@ -43,7 +43,8 @@ class GrippingRobotFollower(Generic[AnyRobot]):
         self.follower = follower
         self.gripping: RobotGripFollower[AnyRobot] | None = None
         hands = follower.mapper.hands.items()
-        if is_asked(grip) and any(
+        check_grip(grip)
+        if grip is not None and any(
             can_grip(hand.source, fingers[side]) for side, hand in hands
         ):
             self.gripping = RobotGripFollower(follower, fingers, grip)

@@ -26,8 +26,16 @@ class SavedPairs:
     def __init__(self, record: CollisionsRecord) -> None:
         self._record = record
 
+    def __copy__(self) -> SavedPairs:
+        """Return itself: they never change."""
+        return self
+
+    def __deepcopy__(self, memo: object) -> SavedPairs:
+        """Return itself: they never change."""
+        return self
+
     def __reduce__(self) -> tuple[type[SavedPairs], tuple[CollisionsRecord]]:
-        """Make a copy from the record."""
+        """Make them again from the record in another process."""
         return type(self), (self._record,)
 
     @cached_property

@@ -19,6 +19,9 @@ ROBOT = 4
 _FORMS = {HAND: ("one hand", "load"), ROBOT: ("a robot with two hands", "load_robot")}
 """What files of each form have, and what reads them."""
 
+_UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
+"""What msgspec raises at bytes that are not what was expected: nested ones, and other texts."""
+
 AnyFile = TypeVar("AnyFile", HandFile, RobotFile)
 
 
@@ -68,17 +71,17 @@ def read(path: Path, kind: type[AnyFile]) -> AnyFile:
     body = _checked_body(path, HAND if kind is HandFile else ROBOT)
     try:
         return msgspec.msgpack.decode(body, type=kind, ext_hook=unpacked)
-    except (msgspec.MsgspecError, ValueError) as error:
+    except _UNREADABLE as error:
         raise misfit(path, error) from error
 
 
 def misfit(path: Path, error: Exception) -> HandError:
     """Return the error of a file that does not fit this version."""
-    problem = f"it does not fit this version ({error}); {_again()}"
+    problem = f"it does not fit this version ({error}); {_save_again()}"
     return HandError(problem, file=path)
 
 
-def _again() -> str:
+def _save_again() -> str:
     return f"save it again, by handmap-qp {library_version()}"
 
 
@@ -86,7 +89,7 @@ def _checked_body(path: Path, form: int) -> bytes:
     """Return the body of a file that is whole, and of a form."""
     try:
         head = msgspec.msgpack.decode(path.read_bytes(), type=_Head)
-    except msgspec.MsgspecError:
+    except _UNREADABLE:
         head = None
     if head is None or head.kind != KIND:
         expected = "expected a saved hand (handmap hands save)"
@@ -96,10 +99,10 @@ def _checked_body(path: Path, form: int) -> bytes:
         raise HandError(f"{newer}; install a newer handmap-core", file=path)
     if head.version != library_version():
         other = f"it is of version {head.version}, expected {library_version()}"
-        raise HandError(f"{other}; {_again()}", file=path)
+        raise HandError(f"{other}; {_save_again()}", file=path)
     if head.form not in _FORMS:
         older = f"it is of form {head.form}, expected {' or '.join(map(str, _FORMS))}"
-        raise HandError(f"{older}; {_again()}", file=path)
+        raise HandError(f"{older}; {_save_again()}", file=path)
     if zlib.crc32(head.body) != head.checksum:
         raise HandError("it is damaged; copy it again", file=path)
     if head.form != form:

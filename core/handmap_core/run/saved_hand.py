@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,7 +19,7 @@ from handmap_core.hands.core_configuration import (
     CorePose,
     CoreTree,
 )
-from handmap_core.models import encode
+from handmap_core.models import encode, unpacked
 from handmap_core.se3 import (
     Array,
     PoseLike,
@@ -80,7 +81,7 @@ class SavedHand:
         self.spread = own.spread
         self.joint_columns = own.joint_columns
         self.q_indices = own.q_indices
-        self.finger_joints = own.fingers > 0.0
+        self.finger_joints = frozen(own.fingers > 0.0)
         self.wrist_frames = [CoreFrame.of(place) for place in own.wrists]
         self.wrist_frame = self.wrist_frames[0]
         self.has_moving_wrist = self.wrist_frame.parentJoint > 0
@@ -92,11 +93,17 @@ class SavedHand:
         self._wrist_to_root = inverse_pose(own.wrists[0].placement)
         self.wrist_to_palm = frozen(self._wrist_to_root @ own.palm.placement)
 
-    def __reduce__(
-        self,
-    ) -> tuple[type[SavedHand], tuple[HandRecord, tuple[SavedHand, ...]]]:
-        """Make a copy from the record, with a workspace of its own."""
-        return type(self), (self.record, self.parts)
+    def __copy__(self) -> SavedHand:
+        """Return itself: it never changes."""
+        return self
+
+    def __deepcopy__(self, memo: object) -> SavedHand:
+        """Return itself: it never changes."""
+        return self
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Make it again in another process, from bytes: arrays that are read are read-only."""
+        return _made_again, (type(self), encode(self.record), self.parts)
 
     @cached_property
     def tree(self) -> _core.Tree:
@@ -167,6 +174,14 @@ class Landmarks(SavedHand):
     def __init__(self, record: HandRecord, parts: Sequence[SavedHand] = ()) -> None:
         super().__init__(record, parts)
         self.reference_points: tuple[PointRecord, ...] = record.landmarks
+
+
+def _made_again(
+    kind: type[SavedHand], record: bytes, parts: Sequence[SavedHand]
+) -> SavedHand:
+    """Return a hand from the bytes of its record."""
+    decoded = msgspec.msgpack.decode(record, type=HandRecord, ext_hook=unpacked)
+    return kind(decoded, parts)
 
 
 def _grasp_finger(record: FingerRecord) -> GraspFinger:

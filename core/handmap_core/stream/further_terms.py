@@ -29,15 +29,17 @@ def further_terms(
 ) -> Iterator[None]:
     """Give mappers further terms of the QP's cost for a while.
 
+    The caller has their `WorkLock`: another thread could have it when the terms are taken back.
+
     Args:
         mappers: The mappers.
         terms: The terms of each. A mapper without any is left as it is.
     """
     pairs = zip(mappers, terms, strict=True)
     changed = [(mapper, mapper.source.tasks, added) for mapper, added in pairs if added]
-    for mapper, tasks, added in changed:
-        mapper.set_tasks((*tasks, *added))
     try:
+        for mapper, tasks, added in changed:
+            mapper.set_tasks((*tasks, *added))
         yield
     finally:
         for mapper, tasks, _ in changed:

@@ -18,6 +18,7 @@ from handmap_core.hands import GraspFinger, Side
 from handmap_core.human import HumanSample
 from handmap_core.ik import When
 from handmap_core.mapping import MapStep, RobotStep, Stages
+from handmap_core.mapping.exclusive import exclusively
 from handmap_core.se3 import FARTHEST, Array, as_floats, is_real
 from .follower import AnyMapper, Follower, map_with
 from .further_terms import further_terms
@@ -59,6 +60,8 @@ class GripFollower(Generic[AnyMapper]):
         grip: GripOptions | None = None,
     ) -> None:
         self.follower = follower
+        # To work on the grip is to work on what it holds with.
+        self.work = follower.work
         options = _checked_options(grip)
         source = follower.mapper.source
         wanted = "a hand that `teleoperation` moves, with a thumb and a finger, or jaws"
@@ -114,6 +117,23 @@ class GripFollower(Generic[AnyMapper]):
         # Most sessions never measure.
         if measured_q is None and object_centre is None and grip.is_idle:
             return follower.map_sample(sample, dt=dt, arrival=arrival)
+        return self._map_measured(
+            sample, measured_q, object_centre, object_deviation, dt, arrival
+        )
+
+    @exclusively
+    def _map_measured(
+        self,
+        sample: HumanSample,
+        measured_q: ArrayLike | None,
+        object_centre: ArrayLike | None,
+        object_deviation: float,
+        dt: When | None,
+        arrival: float | None,
+    ) -> MapStep:
+        """Map one sample by what is known of the robot and the object; see `map_sample`."""
+        grip = self.hand_grip
+        follower = self.follower
         mapper = follower.mapper
         q = _checked(measured_q, "measured_q", mapper.source.robot.rest.shape)
         centre: Array | None = None
@@ -158,6 +178,8 @@ class RobotGripFollower(Generic[AnyRobot]):
         grip: GripOptions | None = None,
     ) -> None:
         self.follower = follower
+        # To work on the grip is to work on what it holds with.
+        self.work = follower.work
         options = _checked_options(grip)
         self.hands: dict[Side, HandGrip] = {
             side: HandGrip(hand.source, fingers[side], options)
@@ -202,9 +224,20 @@ class RobotGripFollower(Generic[AnyRobot]):
         Raises:
             InvalidInputError: As there, or if a number here cannot be used.
         """
-        follower = self.follower
         if measured_q is None and all(hand.is_idle for hand in self.hands.values()):
-            return follower.map_samples(samples, dt=dt, arrival=arrival)
+            return self.follower.map_samples(samples, dt=dt, arrival=arrival)
+        return self._map_measured(samples, measured_q, dt, arrival)
+
+    @exclusively
+    def _map_measured(
+        self,
+        samples: Mapping[Side, HumanSample],
+        measured_q: ArrayLike | None,
+        dt: When | None,
+        arrival: float | None,
+    ) -> RobotStep:
+        """Map samples by what is known of the robot; see `map_samples`."""
+        follower = self.follower
         mapper = follower.mapper
         q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
         for hand in self.hands.values():

@@ -30,11 +30,11 @@ _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
 
 
-class LedHand(SampleMapper[RequestStep], TaskedMapper, Protocol):
+class TrackedHand(SampleMapper[RequestStep], TaskedMapper, Protocol):
     """One hand of a robot."""
 
 
-class LedRobot(Protocol):
+class TrackedRobot(Protocol):
     """What moves a robot with two hands: a `RobotMapper`.
 
     Attributes:
@@ -44,7 +44,7 @@ class LedRobot(Protocol):
     work: WorkLock
 
     @property
-    def hands(self) -> Mapping[Side, LedHand]:
+    def hands(self) -> Mapping[Side, TrackedHand]:
         """Each hand of the robot, by side."""
 
     @property
@@ -74,7 +74,7 @@ class LedRobot(Protocol):
         """Let a hand of the robot stay where it is until its next sample."""
 
 
-AnyRobot = TypeVar("AnyRobot", bound=LedRobot)
+AnyRobot = TypeVar("AnyRobot", bound=TrackedRobot)
 
 
 class RobotFollower(Generic[AnyRobot]):

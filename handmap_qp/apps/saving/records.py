@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-import numpy as np
-
 from handmap_core.errors import InvalidOptionsError
 from handmap_core.run.records import (
     CollisionsRecord,
@@ -15,6 +13,7 @@ from handmap_core.run.records import (
     HandRecord,
     HomogeneousRecord,
     MethodRecord,
+    PinchingRecord,
     PointRecord,
     RobotFile,
     SettingsRecord,
@@ -22,7 +21,7 @@ from handmap_core.run.records import (
     TeleoperationRecord,
 )
 from handmap_core.run.saved_file import written
-from handmap_core.se3 import Array
+from handmap_core.stream.hand_grip import has_pinches
 from handmap_qp.hands import Hand, PointSpec
 from handmap_qp.hands.compiled import hand_model
 from handmap_qp.ik.collision import CollisionLimit
@@ -54,49 +53,33 @@ def saved_bytes(mapper: HandMapper | RobotMapper) -> bytes:
         return written(
             HandFile(
                 human=_human(source.human),
-                robot=_hand(source.robot, grips=_has_pinches(source)),
+                robot=_hand(source.robot, grips=has_pinches(source)),
                 method=_method(mapper, source),
                 collisions=collisions,
                 settings=_settings(mapper, source),
             )
         )
     sources = [*mapper.sources.values()]
-    none = np.zeros((2, 0), dtype=int)
-    pinching = [*mapper.pinching] or [none] * len(sources)
     return written(
         RobotFile(
             robot=_hand(mapper.robot),
             hands=tuple(
-                _side(mapper, source, pairs)
-                for source, pairs in zip(sources, pinching, strict=True)
+                SideRecord(
+                    human=_human(source.human),
+                    robot=_hand(source.robot, grips=has_pinches(source)),
+                    method=_method(mapper, source),
+                )
+                for source in sources
+            ),
+            pinching=tuple(
+                PinchingRecord(of_robot=of_robot, of_hand=of_hand)
+                for of_robot, of_hand in mapper.pinching
             ),
             collisions=collisions,
             turns_in=mapper.turns_in,
             settings=_settings(mapper, sources[0]),
         )
     )
-
-
-def _side(mapper: RobotMapper, source: TargetSource, pinching: Array) -> SideRecord:
-    """Return one hand of a robot.
-
-    Args:
-        mapper: Moves the robot.
-        source: The human's side of the hand.
-        pinching: As of `RobotMapper.pinching`, shape (2, r).
-    """
-    pairs, among_own = pinching
-    return SideRecord(
-        human=_human(source.human),
-        robot=_hand(source.robot, grips=_has_pinches(source)),
-        method=_method(mapper, source),
-        pinching=pairs,
-        among_own=among_own,
-    )
-
-
-def _has_pinches(source: TargetSource) -> bool:
-    return isinstance(source.bound, BoundTeleoperation)
 
 
 def _method(mapper: HandMapper | RobotMapper, source: TargetSource) -> MethodRecord:

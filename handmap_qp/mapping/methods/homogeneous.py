@@ -1,7 +1,8 @@
 """The paper's method: T of the human's points, split, and imposed on the robot's (eqs. 2-7).
 
-`handmap_core.mapping.homogeneous` has the formulas and the options. Here the method is bound to two
-hands whose points name partners, and has its presets.
+`handmap_core.mapping.homogeneous` has the options, and prepares the formulas for a reference; the
+compiled core computes them (`handmap/targets.hpp`). Here the method is bound to two hands whose
+points name partners, and has its presets.
 """
 
 from __future__ import annotations
