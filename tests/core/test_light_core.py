@@ -124,3 +124,28 @@ def test_the_library_has_all_public_names_of_the_core(name: str) -> None:
     assert {each for each in expected if shared.get(each) is not vars(own)[each]} == (
         set()
     )
+
+
+IMPORTED = """
+import sys
+import numpy
+
+before = {*sys.modules}
+import handmap_core.run
+
+print(*sorted({*sys.modules} - before))
+"""
+
+
+def test_what_follows_imports_nothing_that_takes_long() -> None:
+    # Entry points are searched for where a name is not our own.
+    printed = subprocess.check_output([sys.executable, "-c", IMPORTED], text=True)
+    slow = {
+        "importlib.metadata",
+        "importlib.resources",
+        "email",
+        "zipfile",
+        "json.tool",
+    }
+    assert not slow & {*printed.split()}
+    assert "handmap_core.stream.follower" in printed

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -46,6 +45,9 @@ class _Head(msgspec.Struct, frozen=True):
 
 def library_version() -> str:
     """Return the version of the library, which is that of its core."""
+    # Files that are no saved hand are refused without it.
+    from importlib.metadata import version
+
     return version("handmap-core")
 
 
