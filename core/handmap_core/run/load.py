@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
+from handmap_core.errors import DegeneratePointsError
 from handmap_core.ik import Motion, PointDistances
 from handmap_core.ik.gate import IkGate
 from handmap_core.ik.qp import PointIk
@@ -140,8 +141,9 @@ def _try_out(robot: MovingRobot[SavedIk], sources: Iterable[SavedSource]) -> Non
     for source in sources:
         human = source.human
         at_rest = HumanPose(human.points(human.rest, np.eye(4)), np.eye(4))
-        reference = source.reference_at(at_rest, robot.q)
-        reference.map.targets(at_rest)
+        # A first sample may determine a motion where the hand at rest does not.
+        with suppress(DegeneratePointsError):
+            source.reference_at(at_rest, robot.q).map.targets(at_rest)
         hand = source.bound.robot
         AttachedPoints(hand, [finger.pad.place for finger in hand.grasp])
 
@@ -201,7 +203,7 @@ def _distances(robot: SavedHand, model: TeleoperationModel) -> PointDistances:
 def _solver(
     robot: SavedHand, settings: SettingsRecord, collisions: CollisionsRecord | None
 ) -> SavedIk:
-    """Return the QP that moves a robot, at rest in its neutral configuration."""
+    """Return the QP that moves a robot, which stands still in its rest posture."""
     start = Motion.at_rest(robot.record.model.configuration, len(robot.active_columns))
     kept = None if collisions is None else SavedCollisions(collisions)
     return PointIk(IkGate(robot, start, settings.ik, kept))
