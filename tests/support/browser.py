@@ -129,10 +129,6 @@ class Browser:
         )
         self._number = 0
         self.errors: list[str] = []
-        self.open_tab()
-
-    def open_tab(self) -> None:
-        """Open an empty page, and go on with it; the one before stays open."""
         target = self._call("Target.createTarget", url="about:blank")
         attached = self._call(
             "Target.attachToTarget", targetId=target["targetId"], flatten=True
