@@ -95,7 +95,9 @@ lowest: ## Run the suite with the lowest versions that pyproject.toml allows; ne
 	@$(FIND_PYTHON); \
 	export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
 	uv venv --quiet --clear --seed --python "$$python" $(LOWEST) && \
-	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all]' --group dev && \
+	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+	    $(addprefix --editable ,'.[all]' ./packages/drive ./packages/score ./packages/sources) --group dev && \
+	uv pip install --quiet --python $(LOWEST)/bin/python --no-deps $(MODELS) && \
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes

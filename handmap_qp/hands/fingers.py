@@ -70,6 +70,10 @@ class PalmKinematics:
         self.hand = hand
         self._model = hand.model
 
+    def __reduce__(self) -> tuple[type["PalmKinematics"], tuple[Hand]]:
+        """Make a copy with a workspace of its own: Pinocchio 4.0 cannot read one back."""
+        return PalmKinematics, (self.hand,)
+
     @cached_property
     def _data(self) -> pin.Data:
         """Workspace of Pinocchio, which takes longer to allocate than most of what it is for."""

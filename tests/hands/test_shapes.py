@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from functools import cache
 from itertools import product
 
@@ -319,3 +321,14 @@ def test_links_that_a_knuckle_of_crossing_axes_joins_are_neighbours() -> None:
     tip = PointSpec("tip", "bent", (0.04, 0.0, 0.022))
     robot = two_joint_hand(urdf, ("spread", "bent"), tip, (1.0, 0.0, 0.0))
     assert not len(all_pairs(robot).fingers)
+
+
+def test_a_copy_has_a_workspace_of_its_own() -> None:
+    hand = load_hand("allegro_right")
+    view = PalmKinematics(hand)
+    place = [(5, np.array([0.01, 0.02, 0.03]))]
+    expected = view.points(hand.rest, place)
+    for copied in (copy.deepcopy(view), pickle.loads(pickle.dumps(view))):
+        # Pinocchio 4.0 writes one down, and cannot read it.
+        assert not any(isinstance(each, pin.Data) for each in vars(copied).values())
+        np.testing.assert_array_equal(copied.points(hand.rest, place), expected)
