@@ -112,9 +112,12 @@ class Browser:
         """Open a page and attach to it."""
         from websockets.sync.client import connect
 
-        # Before websockets 15 there is no proxy to leave out.
-        has_proxy = "proxy" in inspect.signature(connect).parameters
-        settings: dict[str, Any] = {"proxy": None} if has_proxy else {}
+        # Before websockets 15 there is no proxy to leave out, and nothing is pinged. On a busy
+        # machine a browser may take long to answer a ping.
+        is_new = "proxy" in inspect.signature(connect).parameters
+        settings: dict[str, Any] = (
+            {"proxy": None, "ping_interval": None} if is_new else {}
+        )
         self._wait(
             lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1,
             "Chromium does not start",
@@ -123,8 +126,6 @@ class Browser:
         self._socket = connect(
             f"ws://127.0.0.1:{port}{path}",
             max_size=None,
-            # On a busy machine a browser may take long to answer a ping.
-            ping_interval=None,
             **settings,
         )
         self._number = 0
