@@ -11,9 +11,9 @@ from handmap_qp.mapping.methods.teleoperation import Teleoperation
 
 def grasp_fingers(robot: Hand) -> tuple[GraspFinger, ...]:
     """Return what grips of a robot hand, the thumb first; nothing if it has no thumb or jaws."""
-    fingers = robot_fingers(robot)
-    if THUMB not in fingers.names or len(fingers.names) < 2:
+    if not has_grasp(robot):
         return ()
+    fingers = robot_fingers(robot)
     return tuple(
         GraspFinger(fingers.pads[name], finger.columns, finger.is_jaw)
         for name, finger in fingers.used.items()
@@ -22,13 +22,15 @@ def grasp_fingers(robot: Hand) -> tuple[GraspFinger, ...]:
 
 def has_grasp(robot: Hand) -> bool:
     """Return whether a robot hand has a thumb and a finger, or two jaws."""
-    return bool(grasp_fingers(robot))
+    # Without its pads, which are found on meshes: most hands that are asked about never grip.
+    names = robot_fingers(robot).names
+    return THUMB in names and len(names) > 1
 
 
 def can_grip(source: TargetSource | HandMapper) -> bool:
     """Return whether a `GripFollower` can hold what the robot hand of a source or mapper meets."""
     own = source.source if isinstance(source, HandMapper) else source
-    return hand_grip.can_grip(own, grasp_fingers(own.robot))
+    return hand_grip.has_pinches(own) and has_grasp(own.robot)
 
 
 def gripping_presets() -> Names:

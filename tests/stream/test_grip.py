@@ -27,6 +27,7 @@ from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points, unit
 from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.grasp import can_grip, has_grasp
 from handmap_qp.stream.grip import GripFollower
 
 
@@ -737,3 +738,13 @@ def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
     with pytest.raises(InvalidInputError, match=name):
         grip.map_sample(second, **arguments)
     assert grip.follower.mapper.point_ik.gate.stamp == before
+
+
+def test_asking_whether_a_hand_can_grip_reads_no_meshes() -> None:
+    hand = load_hand("three_finger")
+    # A hand of its own, which nobody has measured before.
+    robot = hand.with_points([point.name for point in hand.reference_points[:2]])
+    source = HandMapper(HUMAN, robot, "paper").source
+    assert has_grasp(robot)
+    assert not can_grip(source)
+    assert "pads" not in vars(robot_fingers(robot))
