@@ -121,13 +121,35 @@ def test_sees_what_was(robot: Hand) -> None:
     for i in range(600):
         now = i * DT
         faces = np.array([[now, -0.01, 0.0], [now, 0.01, 0.0]])
-        eyes.remember(seen(now, np.eye(4), pads, faces))
+        eyes.remember(seen(now, np.eye(4), pads, faces), now - DT)
         look = eyes.look()
         assert look.time <= max(now - model.DELAY, 0.0) + 1e-9
         assert look.time > now - model.DELAY - DT - 1e-9
+        assert look.followed == pytest.approx(look.time - DT)
         errors.append(look.middle - (look.time, 0.0, 0.0))
     spread = np.std(errors, axis=0)
     assert np.allclose(spread, model.VISUAL_NOISE, rtol=0.15)
+
+
+def test_a_robot_one_sample_late_is_no_error_of_aim(
+    robot: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but without noise, the robot's palm is seen just where the person believed the own palm to be."""
+    for noise in ("VISUAL_NOISE", "MOTOR_NOISE"):
+        monkeypatch.setattr(model, noise, 1e-9)
+    world = World(robot, np.zeros(3), is_sticky=False)
+    person = Person(robot)
+    person.reset(3)
+    farthest = 0.0
+    for _ in range(600):
+        hand = person.see(world.scene())
+        world.follow(hand.landmarks, hand.wrist)
+        look, motion = person._eyes.look(), person._motion
+        assert motion is not None
+        believed = motion.believed(look.followed)
+        assert np.linalg.norm(look.palm - believed) < 1e-7
+        farthest = max(farthest, float(np.linalg.norm(believed - motion.believed(0.0))))
+    assert farthest > 0.05
 
 
 @given(st.floats(1e-3, 0.5), st.floats(0.0, 2.0))
@@ -356,6 +378,7 @@ def noisy_look(
     origin = np.zeros(3)
     return Look(
         time=0.0,
+        followed=0.0,
         middle=noise[0] + (origin if middle is None else middle),
         line=turned,
         width=0.03,

@@ -6,7 +6,8 @@ constants are fixed here. None was chosen by the result of a mapping.
 The model, in the order of a try:
 
 1. *Look.* Places of the object, the robot's palm and its pads are `DELAY` old and have noise. What
-   the own hand was told to do since then is known (efference copy, as a Smith predictor).
+   the own hand was told to do since then is known (efference copy, as a Smith predictor), and so
+   is that the robot follows the hand one sample later.
 2. *Observe.* On the way to the object, looks of one try are combined (`Observer`), each by how
    certain it is: the object stands still, and the palm errs by the noise of its own movements.
 3. *Aim.* The palm is to stand where the object lies between the pads, by an internal model of where
@@ -408,6 +409,7 @@ class Look(NamedTuple):
 
     Attributes:
         time: Instant at which it was so [s].
+        followed: Instant of the person's hand that the robot followed then [s].
         middle: Middle of the object, at the height of its grip [m], shape (3,).
         line: Horizontal unit vector across the object, shape (3,).
         width: Width of the object along it [m].
@@ -419,6 +421,7 @@ class Look(NamedTuple):
     """
 
     time: float
+    followed: float
     middle: Array
     line: Array
     width: float
@@ -449,6 +452,13 @@ class Look(NamedTuple):
         return PadPlace(middle, self.pads.line @ self.rotation, self.pads.gap)
 
 
+class Remembered(NamedTuple):
+    """A scene, and the instant of the person's hand that the robot followed in it [s]."""
+
+    scene: Scene
+    followed: float
+
+
 class Eyes:
     """Remembers scenes, and shows the one of `DELAY` before, with noise.
 
@@ -460,22 +470,29 @@ class Eyes:
     def __init__(self, wrist_to_palm: Array, random: np.random.Generator) -> None:
         self._wrist_to_palm = wrist_to_palm
         self._random = random
-        self._scenes: deque[Scene] = deque()
+        self._scenes: deque[Remembered] = deque()
 
-    def remember(self, scene: Scene) -> None:
-        """Take in a scene, and forget those that are older than the one to be shown."""
-        self._scenes.append(scene)
-        while len(self._scenes) > 1 and self._scenes[1].time <= scene.time - DELAY:
+    def remember(self, scene: Scene, followed: float) -> None:
+        """Take in a scene, and forget those that are older than the one to be shown.
+
+        Args:
+            scene: What there is to see.
+            followed: Instant of the person's hand that the robot follows in it [s].
+        """
+        self._scenes.append(Remembered(scene, followed))
+        oldest = scene.time - DELAY
+        while len(self._scenes) > 1 and self._scenes[1].scene.time <= oldest:
             self._scenes.popleft()
 
     def look(self) -> Look:
         """Return what is seen now."""
-        scene = self._scenes[0]
+        scene, followed = self._scenes[0]
         first, second = scene.points["faces"]
         thumb, finger = scene.points["pads"]
         palm = scene.poses["wrist"] @ self._wrist_to_palm
         return Look(
             time=scene.time,
+            followed=followed,
             middle=self._place((first + second) / 2.0),
             line=self._direction(unit((second - first) * (1.0, 1.0, 0.0))),
             width=float(np.linalg.norm(second - first)),
@@ -699,7 +716,7 @@ class Person:
     def see(self, scene: Scene) -> HumanHand:
         """Return the hand at the scene's instant."""
         now = scene.time
-        self._eyes.remember(scene)
+        self._eyes.remember(scene, self._time)
         if self._motion is None:
             self._motion = PalmMotion(
                 scene.poses["wrist"] @ self._wrist_to_palm, self._random
@@ -768,7 +785,7 @@ class Person:
             case Phase.PRACTISE:
                 self._practise(look)
             case Phase.APPROACH | Phase.ENTER:
-                seen = self._observer.update(look, motion.believed(look.time))
+                seen = self._observer.update(look, motion.believed(look.followed))
                 self._reach(seen, self._model, motion)
             case Phase.CLOSE:
                 self._judge(look, motion)
@@ -828,7 +845,7 @@ class Person:
         if not is_entering:
             goal = goal + STANDOFF * _UP
         # The robot's palm was not where the person believed the own palm to be.
-        bias = look.palm - motion.believed(look.time)
+        bias = look.palm - motion.believed(look.followed)
         shift = goal - motion.believed_end - bias
         tolerance = DEAD_ZONE if is_entering else ROUGH
         if not self._correct(look, motion, shift, tolerance, turn):
@@ -869,7 +886,7 @@ class Person:
         if is_off or turn.any():
             motion.begin(self._time, shift, turn)
             return False
-        return not motion.is_moving(look.time)
+        return not motion.is_moving(look.followed)
 
     def _judge(self, look: Look, motion: PalmMotion) -> None:
         """Use what is seen between the pads; else learn and open."""
@@ -892,7 +909,7 @@ class Person:
             shift[:2] = 0.0
         if self._phase is not Phase.LOWER:
             shift += self._hover * _UP
-        since_then = motion.believed_end - motion.believed(look.time)
+        since_then = motion.believed_end - motion.believed(look.followed)
         # Only high above the target a rough place is good enough.
         is_rough = self._phase is not Phase.LOWER and self._hover == LIFT
         tolerance = ROUGH if is_rough else DEAD_ZONE

@@ -194,7 +194,7 @@ class Presser(Person):
         """Move the fingertip over the button, closer, and down."""
         height = STANDOFF if self._phase is Phase.APPROACH else ROUGH
         goal = look.middle - home() @ model.met.middle
-        bias = look.palm - motion.believed(look.time)
+        bias = look.palm - motion.believed(look.followed)
         shift = goal + height * _UP - motion.believed_end - bias
         tolerance = ROUGH if self._phase is Phase.APPROACH else DEAD_ZONE
         if not self._correct(look, motion, shift, tolerance):
