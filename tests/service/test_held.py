@@ -249,7 +249,7 @@ def test_a_known_object_is_touched_as_by_the_follower() -> None:
         if i == len(made) - 1:
             assert "off_object" not in command.flags
             # Sessions begin at rest, and forget it.
-            np.testing.assert_allclose(command.q, step.command.q, atol=2e-3)
+            np.testing.assert_allclose(command.q, step.command.q, atol=5e-3)
             assert np.abs(np.subtract(command.q, other.q)).max() > 0.1
     # An object that is not seen any more lets go.
     for i in range(60):
