@@ -163,8 +163,8 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
     )
     wrist = affine(pin.exp3(rng.normal(size=3)), rng.normal(scale=0.3, size=3))
     dt = 10.0 ** rng.uniform(-3.0, -1.0)
-    goal = Goal(targets, wrist[None], ik.postures(dt, None), ())
-    cost = direct_cost(hand, ik.options, ik.configuration, goal)
+    goal = Goal(targets, wrist[None], hand.rest, (), dt)
+    cost = direct_cost(ik.gate, ik.configuration, goal)
     return Problem(*cost, *ik.gate.bounds(dt))
 
 

@@ -178,11 +178,11 @@ class Ik(Gate):
         self,
         points: Array,
         wrists: Array | None,
-        postures: Sequence[tuple[float | Array, Array]],
+        rest: Array,
         when: When,
         margins: Array | None = None,
         speed: float = 1.0,
-        damping_shares: Array | None = None,
+        regularisation: Array | None = None,
         distances: Sequence[Distances] = [],
         offsets: Sequence[Offset] = [],
         rows: Callable[[Array], Sequence[tuple[Array, Array, Array | float]]]
@@ -193,11 +193,11 @@ class Ik(Gate):
         Args:
             points: Targets of the reference points, shape (m, 3).
             wrists: Targets of the wrists, shape (h, 4, 4).
-            postures: A weight, or one for each joint, and joint positions.
+            rest: Joint positions that the rest term pulls to, shape (n,).
             when: As of `Gate.interval`.
             margins: Of each pair of shapes.
             speed: Share of the speed limits.
-            damping_shares: Of each joint.
+            regularisation: Share of the weights of the rest term and of the damping, shape (n,).
             distances: Tasks of the cost.
             offsets: Likewise.
             rows: Returns residual, Jacobian and damping of each task of Python in a configuration.

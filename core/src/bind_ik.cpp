@@ -44,24 +44,6 @@ std::function<void(const Vector&, TaskRows&)> rows_of(const Ik& ik, const TaskCa
   };
 }
 
-// The weight of all joints, or of each of them, and the posture.
-using Postures = std::vector<std::pair<std::variant<double, Array>, Array>>;
-
-std::vector<Posture> postures_of(const Ik& ik, const Postures& given) {
-  std::vector<Posture> postures;
-  for (const auto& [weight, q] : given) {
-    expect_size(q, ik.tree.joint_columns.size(), "postures");
-    if (const double* of_all = std::get_if<double>(&weight)) {
-      postures.push_back({*of_all, vector_of(q)});
-      continue;
-    }
-    const Array& of_each = std::get<Array>(weight);
-    expect_size(of_each, ik.tree.joint_columns.size(), "postures");
-    postures.push_back({1.0, vector_of(q), vector_of(of_each)});
-  }
-  return postures;
-}
-
 Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   if (!margins) return {};
   if (!ik.pairs || margins->size() != ik.pairs->size())
@@ -107,11 +89,12 @@ nb::tuple task_rows(const Tree& tree, const Array& q,
 }
 
 // Move the hand; see ik.tasks.Goal.
-Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, const Postures& postures,
+Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, const Array& rest,
            const nb::object& when, const std::optional<Array>& margins, double speed,
-           const std::optional<Array>& damping_shares, const std::vector<DistancesGiven>& distances,
+           const std::optional<Array>& regularisation, const std::vector<DistancesGiven>& distances,
            const std::vector<OffsetGiven>& offsets, const std::optional<TaskCallback>& rows) {
   expect_size(points, 3 * ik.tree.points.size(), "points");
+  const size_t joints = ik.tree.joint_columns.size();
   Goal goal;
   goal.points = points_of(points);
   if (wrists) {
@@ -119,17 +102,18 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, cons
     for (size_t i = 0; i < ik.tree.parts.size(); ++i)
       goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
-  goal.postures = postures_of(ik, postures);
-  if (damping_shares) {
-    expect_size(*damping_shares, ik.tree.joint_columns.size(), "damping_shares");
-    goal.damping_shares = vector_of(*damping_shares);
+  expect_size(rest, joints, "rest");
+  const When moment = when_from(when);
+  goal.postures = ik.postures(vector_of(rest), ik.motion.next(moment).granted);
+  if (regularisation) {
+    expect_size(*regularisation, joints, "regularisation");
+    goal.regularise(vector_of(*regularisation));
   }
   for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik.tree, each));
   for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik.tree, each));
   if (rows) goal.further = rows_of(ik, *rows);
-  expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
   Step step;
-  seek(ik, goal, when_from(when), margins_of(ik, margins), speed, step.result);
+  seek(ik, goal, moment, margins_of(ik, margins), speed, step.result);
   finish(ik, step);
   return step;
 }
@@ -202,8 +186,8 @@ void bind_ik(nb::module_& m) {
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
       .def("hold", exclusively(&hold_still), "when"_a)
-      .def("solve", exclusively(&solve), "points"_a, "wrists"_a.none(), "postures"_a, "when"_a,
-           "margins"_a.none() = nb::none(), "speed"_a = 1.0, "damping_shares"_a.none() = nb::none(),
+      .def("solve", exclusively(&solve), "points"_a, "wrists"_a.none(), "rest"_a, "when"_a,
+           "margins"_a.none() = nb::none(), "speed"_a = 1.0, "regularisation"_a.none() = nb::none(),
            "distances"_a = std::vector<DistancesGiven>(), "offsets"_a = std::vector<OffsetGiven>(),
            "rows"_a.none() = nb::none());
 }

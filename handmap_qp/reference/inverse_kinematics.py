@@ -122,11 +122,11 @@ class ReferenceIk:
     def _cost(self, goal: Goal) -> tuple[Array, Array]:
         """Return H, shape (k, k), and c, shape (k,), at the present configuration."""
         if self.options.formulation != "mink":
-            return direct_cost(self.hand, self.options, self.configuration, goal)
+            return direct_cost(self.gate, self.configuration, goal)
         # mink imports MuJoCo.
         from .mink_problem import build_problem
 
-        problem = build_problem(self.hand, self.options, self.configuration, goal)
+        problem = build_problem(self.gate, self.configuration, goal)
         return np.asarray(problem.P), problem.q
 
     def _targets(self, goal: Goal) -> tuple[Array, float]:

@@ -16,10 +16,10 @@ import mink
 import numpy as np
 import qpsolvers
 
-from handmap_core.ik.options import IkOptions
+from handmap_core.ik.gate import IkGate
 from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand, PinocchioConfiguration
+from handmap_qp.hands import PinocchioConfiguration
 from .problem import cost_rows, squared_damping
 
 
@@ -58,8 +58,7 @@ class _ActiveConfiguration:
 
 
 def build_problem(
-    hand: Hand,
-    options: IkOptions,
+    gate: IkGate,
     configuration: PinocchioConfiguration,
     goal: Goal,
     *,
@@ -69,8 +68,7 @@ def build_problem(
     """Return the QP of one iteration at a configuration, without the hand's own limits.
 
     Args:
-        hand: The hand.
-        options: The weights.
+        gate: The gate of the hand, whose options have the weights.
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
         extra_tasks: Further terms of the cost as tasks of mink.
@@ -84,8 +82,8 @@ def build_problem(
     active: Any = _ActiveConfiguration(configuration)
     nv = configuration.nv
     terms = []
-    damping = squared_damping(hand, options, goal, nv)
-    for residual, jacobian, further in cost_rows(hand, options, configuration, goal):
+    damping = squared_damping(gate, goal, nv)
+    for residual, jacobian, further in cost_rows(gate, configuration, goal):
         terms.append(Term(np.ones(1), residual, jacobian))
         damping += further
     still = Term(np.sqrt(damping), np.zeros(nv), np.eye(nv))

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.ik.gate import IkGate
 from handmap_core.ik.tasks import Goal
 from handmap_core.se3 import Array, frozen, lengths, transform_points
 from handmap_qp.hands import Hand, PinocchioConfiguration
@@ -61,17 +62,41 @@ def wrist_rows(
     return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset), part)
 
 
+def posture_terms(gate: IkGate, goal: Goal) -> list[JointPositions]:
+    """Return the terms that pull to postures: rest, where the hand is, and where it is going."""
+    hand = gate.hand
+    options = gate.options
+    every = slice(None)
+    of_rest: float | Array = options.rest_weight
+    if goal.regularisation is not None:
+        of_rest = options.rest_weight * goal.regularisation
+    terms = [JointPositions(hand, every, goal.rest, of_rest)]
+    if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
+        return terms
+    # The whole displacement of a sample costs, and its difference from the last one's.
+    motion = gate.motion
+    start = motion.q[hand.q_indices]
+    dt = gate.interval(goal.dt).granted
+    ahead = start + dt * motion.velocity[hand.joint_columns]
+    return [
+        *terms,
+        JointPositions(hand, every, start, options.speed_weight),
+        JointPositions(hand, every, ahead, options.acceleration_weight),
+    ]
+
+
 def cost_rows(
-    hand: Hand, options: IkOptions, configuration: PinocchioConfiguration, goal: Goal
+    gate: IkGate, configuration: PinocchioConfiguration, goal: Goal
 ) -> list[TaskRows]:
     """Return the rows of every term of the cost at a configuration, with their weights.
 
     Args:
-        hand: The hand.
-        options: The weights.
+        gate: The gate of the hand, whose options have the weights.
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
+    hand = gate.hand
+    options = gate.options
     costs = _costs(hand, options)
     blocks = []
     for part, own in enumerate(configuration.parts):
@@ -89,28 +114,26 @@ def cost_rows(
         damping = options.error_damping * lengths(residual) * lengths(rows.T)
         damping[: 3 if hand.is_floating else 0] = 0.0  # a floating wrist's translation
         terms.append(TaskRows(residual, rows, damping))
-    every = slice(None)
-    postures = [JointPositions(hand, every, q, weight) for weight, q in goal.postures]
-    tasks = *postures, *goal.tasks
+    tasks = *posture_terms(gate, goal), *goal.tasks
     return [*terms, *(task_rows(task, configuration) for task in tasks)]
 
 
-def squared_damping(hand: Hand, options: IkOptions, goal: Goal, size: int) -> Array:
+def squared_damping(gate: IkGate, goal: Goal, size: int) -> Array:
     """Return the squared cost of any motion of each of k coordinates, shape (k,)."""
-    damping = np.full(size, options.damping**2)
-    if goal.damping_shares is not None:
-        damping[hand.joint_columns] *= goal.damping_shares**2
+    damping = np.full(size, gate.options.damping**2)
+    if goal.regularisation is not None:
+        damping[gate.hand.joint_columns] *= goal.regularisation**2
     return damping
 
 
 def direct_cost(
-    hand: Hand, options: IkOptions, configuration: PinocchioConfiguration, goal: Goal
+    gate: IkGate, configuration: PinocchioConfiguration, goal: Goal
 ) -> tuple[Array, Array]:
     """Return H, shape (k, k), and c, shape (k,), of the QP; arguments as of `cost_rows`."""
     eye = np.eye(configuration.nv)
-    H = squared_damping(hand, options, goal, configuration.nv) * eye
+    H = squared_damping(gate, goal, configuration.nv) * eye
     c = np.zeros(len(H))
-    for residual, rows, damping in cost_rows(hand, options, configuration, goal):
+    for residual, rows, damping in cost_rows(gate, configuration, goal):
         H += rows.T.dot(rows) + damping * eye
         c += residual.dot(rows)
     return H, c

@@ -183,7 +183,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     goal = (
         points,
         wrist[None],
-        ik.postures(dt, None),
+        robot.rest,
         dt,
         None,
         1.0,

@@ -59,7 +59,7 @@ def goal_of(hand: Hand, case: Case, rest: np.ndarray | None = None) -> Goal:
     target = case.wrist_target
     wrists = None if target is None else target[None]
     posture = hand.rest if rest is None else rest
-    return Goal(case.point_targets, wrists, [(PLAIN.rest_weight, posture)], ())
+    return Goal(case.point_targets, wrists, posture, ())
 
 
 def eq_8(

@@ -54,13 +54,9 @@ def way_1(
 ) -> qpsolvers.Problem:
     target = case.wrist_target
     wrists = None if target is None else target[None]
-    goal = Goal(
-        case.point_targets, wrists, [(ik.options.rest_weight, ik.hand.rest)], ()
-    )
+    goal = Goal(case.point_targets, wrists, ik.hand.rest, ())
     configuration = ik.configuration
-    problem = build_problem(
-        ik.hand, ik.options, configuration, goal, extra_tasks=extra_tasks
-    )
+    problem = build_problem(ik.gate, configuration, goal, extra_tasks=extra_tasks)
     problem.lb, problem.ub = ik.gate.bounds(case.dt)
     return problem
 

@@ -235,10 +235,8 @@ def problem_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return H, c and both bounds of the first iteration of `PointIk.solve`."""
     dt = max(dt, SHORTEST_DT)
-    goal = Goal(
-        points, None if wrist is None else wrist[None], ik.postures(dt, None), tasks
-    )
-    cost = direct_cost(ik.hand, ik.options, ik.configuration, goal)
+    goal = Goal(points, None if wrist is None else wrist[None], ik.hand.rest, tasks, dt)
+    cost = direct_cost(ik.gate, ik.configuration, goal)
     return *cost, *ik.gate.bounds(dt)
 
 

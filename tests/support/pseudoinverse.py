@@ -124,7 +124,7 @@ class _Eq8(ReferenceIk):
         """Return the step of eq. (8) at the present configuration.
 
         Args:
-            goal: Targets; the first posture is the one to rest in.
+            goal: Targets, and the posture to rest in.
 
         Returns:
             Displacement before any clipping, shape (nv,).
@@ -143,8 +143,8 @@ class _Eq8(ReferenceIk):
         else:
             is_kept = s > RANK_TOLERANCE * s[0]
             inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
-        joints, (_, rest) = hand.joint_columns, goal.postures[0]
-        away = rest - configuration.q[hand.q_indices]
+        joints = hand.joint_columns
+        away = goal.rest - configuration.q[hand.q_indices]
         homogeneous = np.zeros(A.shape[1])
         homogeneous[joints] = self.options.rest_weight**2 * self._scale[joints] * away
         # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside

@@ -129,7 +129,7 @@ class PointIk(Generic[Kept]):
             Goal(
                 point_targets,
                 wrists,
-                self.postures(self.gate.interval(dt).granted, rest, regularisation),
+                self.hand.rest if rest is None else rest,
                 (*tasks, *self._tasks),
                 dt,
                 margins,
@@ -154,11 +154,11 @@ class PointIk(Generic[Kept]):
         step = self.core.solve(
             goal.points,
             goal.wrists,
-            goal.postures,
+            goal.rest,
             goal.dt,
             goal.margins,
             goal.speed,
-            goal.damping_shares,
+            goal.regularisation,
             distances,
             offsets,
             partial(self._linearise, others) if others else None,
@@ -181,24 +181,3 @@ class PointIk(Generic[Kept]):
             dt: Time since the robot's last command [s], or the instant of this one.
         """
         return self.result_of(self.core.hold(dt))
-
-    def postures(
-        self, dt: float, rest: Array | None, regularisation: Array | None = None
-    ) -> list[tuple[float | Array, Array]]:
-        """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
-        hand = self.hand
-        options = self.options
-        weight = options.rest_weight
-        of_rest = weight if regularisation is None else weight * regularisation
-        postures = [(of_rest, hand.rest if rest is None else rest)]
-        if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
-            return postures
-        # The whole displacement of a sample costs, and its difference from the last one's.
-        motion = self.gate.motion
-        start = motion.q[hand.q_indices]
-        ahead = start + dt * motion.velocity[hand.joint_columns]
-        return [
-            *postures,
-            (options.speed_weight, start),
-            (options.acceleration_weight, ahead),
-        ]

@@ -72,24 +72,24 @@ class Goal(NamedTuple):
     Attributes:
         points: Targets of the reference points in the world [m], shape (m, 3).
         wrists: Target of the wrist frame of each hand, shape (h, 4, 4); None leaves them free.
-        postures: Weights, of each joint or one for all, each with the joint positions that it pulls
-            to, shape (n,), in the order of `Hand.joint_names` [rad or m].
+        rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
+            [rad or m], shape (n,).
         tasks: Further terms.
         dt: Time since the robot's last command [s], or the instant of this one.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's own if omitted.
         speed: Share of the speed limits to use.
-        damping_shares: Share of the damping's weight of each joint, shape (n,); all of it if
-            omitted.
+        regularisation: Share of the weights of the rest term and of the damping of each joint,
+            shape (n,); all of both if omitted.
     """
 
     points: Array
     wrists: Array | None
-    postures: Sequence[tuple[float | Array, Array]]
+    rest: Array
     tasks: Sequence[Task]
     dt: When = 1.0
     margins: Array | None = None
     speed: float = 1.0
-    damping_shares: Array | None = None
+    regularisation: Array | None = None
 
 
 TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins(

@@ -183,7 +183,8 @@ class Ik : public Gate {
   // Something else moves the hand.
   void stop_detours() { detours.assign(tree.parts.size(), {}); }
 
-  // Postures of the cost of a sample; see qp.PointIk.postures.
+  // What the cost of a sample pulls to: the rest posture; where the hand is, as the whole displacement
+  // costs; and where its velocity leads, as the difference from the last one does.
   std::vector<Posture> postures(const Vector& rest, double dt) const {
     std::vector<Posture> found{{settings.rest_weight, rest}};
     if (settings.speed_weight == 0.0 && settings.acceleration_weight == 0.0) return found;
