@@ -134,7 +134,7 @@ def test_sees_what_was(robot: Hand) -> None:
 def test_a_robot_one_sample_late_is_no_error_of_aim(
     robot: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All but without noise, the robot's palm is seen just where the person believed the own palm to be."""
+    """Nearly without noise, the robot's palm is seen where the own palm was believed to be."""
     for noise in ("VISUAL_NOISE", "MOTOR_NOISE"):
         monkeypatch.setattr(model, noise, 1e-9)
     world = World(robot, np.zeros(3), is_sticky=False)
