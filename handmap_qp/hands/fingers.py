@@ -82,8 +82,10 @@ class PalmKinematics:
     def points(self, q: Array, places: Sequence[Place]) -> Array:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
         rows = []
-        for posture in q.reshape(-1, q.shape[-1]):
-            self._place(posture)
+        # Positions of joints take a tenth of the time of their Jacobians.
+        for vector in self.hand.configuration_vectors(q.reshape(-1, q.shape[-1])):
+            pin.forwardKinematics(self._model, self._data, vector)
+            self._find_palm()
             rows += map(self._point, places)
         return np.reshape(rows, (*q.shape[:-1], -1, 3))
 
@@ -136,6 +138,9 @@ class PalmKinematics:
         self._jacobian = pin.computeJointJacobians(
             self._model, self._data, self.hand.configuration_vector(q)
         ).reshape(6, -1)
+        self._find_palm()
+
+    def _find_palm(self) -> None:
         frame = self.hand.palm_frame
         self._palm = self._data.oMi[frame.parentJoint] * frame.placement
 

@@ -397,6 +397,22 @@ class Hand:
             vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(pose) * self._wrist_to_root)
         return vector
 
+    def configuration_vectors(self, q: ArrayLike) -> Array:
+        """Compose Pinocchio's configuration vectors of many postures, shape (T, model.nq).
+
+        Args:
+            q: Joint angles of `joint_names` [rad or m], a row a posture, shape (T, n); limits are
+                not checked. The wrist frame is at the origin.
+
+        Raises:
+            InvalidInputError: On a wrong shape, or anything but finite numbers.
+        """
+        vectors = np.tile(
+            self.configuration_vector(self.zero), (len(np.atleast_2d(q)), 1)
+        )
+        vectors[:, self._moving_q] = self.all_joints(q)[..., : len(self._moving_q)]
+        return vectors
+
     def all_joints(self, q: ArrayLike) -> Array:
         """Compute the positions of every movable joint, for a driver that needs them.
 
