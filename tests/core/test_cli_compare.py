@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from PIL import Image
 from sheet_cells import cell_of
 
 from handmap_qp import cli
+from handmap_qp.apps.drawing import contact_sheet
 from handmap_qp.apps.drawing.contact_sheet import CELL, FINGER_COLOURS
+from handmap_qp.apps.drawing.raster import render
 from handmap_qp.apps.offline.metrics import METRICS
 
 PROGRAM = """
@@ -38,6 +41,12 @@ def files(tmp_path: Path) -> list[str]:
     ]
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw hands with a sample a pixel: colours and places are the same, in a third of the time."""
+    monkeypatch.setattr(contact_sheet, "render", partial(render, supersampling=1))
+
+
 def picture(file: Path) -> np.ndarray:
     """Return red, green and blue in 0..1, shape (height, width, 3)."""
     return np.asarray(Image.open(file).convert("RGB")) / 255.0
@@ -53,6 +62,7 @@ def has_colour(cell: np.ndarray, colour: tuple[float, float, float]) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse")
 def test_writes_tables_json_and_pictures(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -181,8 +191,14 @@ def test_peers_that_are_named_are_the_only_ones(
 
 @pytest.mark.slow
 def test_recording_without_a_pose_has_no_contact_sheet(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # Another test looks at the picture of the metrics, which takes most of the time.
+    monkeypatch.setattr(
+        "handmap_qp.apps.offline.compare.draw_metrics", lambda file, _: file.touch()
+    )
     # Half closed at its end: neither open nor a fist after the first half second.
     file = write_closing(tmp_path, "half")
     with np.load(file) as arrays:
@@ -203,6 +219,7 @@ def test_recording_without_a_pose_has_no_contact_sheet(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coarse")
 def test_sheet_of_many_methods_has_bands(
     files: list[str],
     tmp_path: Path,
