@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -58,9 +59,11 @@ def agrees(found: float, expected: float) -> bool:
     return abs(1e3 * found - expected) <= max(0.02 * expected, 0.05)
 
 
+@cache
 def run(
     scene: Scene, synergy: int, variant: Variant | None = None, **choices: Any
 ) -> Run:
+    """Run the experiment, once for all tests that ask for it; they must not change it."""
     return (variant or Variant()).run(scene, Setting(synergy=synergy, **choices))
 
 

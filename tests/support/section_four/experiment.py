@@ -387,12 +387,14 @@ def _carry(
         step [N], shape (n_c, 3); without stiffnesses, shape (0, 3).
     """
     hand = grasp.contact_hand
+    placed = hand.configuration()
     poses = [grasp.object_pose]
     forces = np.zeros((0, 3))
     for k, (q, wrist) in enumerate(zip(motion.q[:-1], motion.wrist[1:], strict=True)):
         pose = wrist @ inverse_pose(motion.wrist[k]) @ poses[-1]
-        jacobian = hand.point_jacobian(q, wrist)
-        matrix = grasp_matrix(hand.points(q, wrist), pose[:3, 3])
+        placed.place(hand.configuration_vector(q, wrist))
+        jacobian = placed.point_jacobian()[:, hand.joint_columns]
+        matrix = grasp_matrix(placed.points, pose[:3, 3])
         if stiffnesses is None:
             moved = jacobian @ (motion.q[k + 1] - q)
             twist = np.linalg.lstsq(matrix.T, moved, rcond=None)[0]
