@@ -109,11 +109,19 @@ def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> None:
-    done = run("bench_accuracy", "--recordings", tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
+def test_without_recordings_a_benchmark_says_so_in_one_line(
+    benchmark: Callable[[str], Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["accuracy", "--recordings", str(tmp_path)])
+    with pytest.raises(SystemExit) as stopped:
+        benchmark("bench_accuracy").main()
+    assert stopped.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
     assert "--recordings DIR or HANDMAP_RECORDINGS" in line
 
 

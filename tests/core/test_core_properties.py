@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from cpp_programs import CORE, compiled, run_counted
 
 PROGRAM = CORE / "tests" / "properties.cpp"
 
 
-def test_parts_of_the_core_have_their_properties(tmp_path: Path) -> None:
-    program = compiled(PROGRAM, tmp_path)
-    for seed in (1, 2):
-        assert run_counted(program, seed) > 100_000
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(PROGRAM, tmp_path_factory.mktemp("properties"))
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.full)])
+def test_parts_of_the_core_have_their_properties(seed: int, program: Path) -> None:
+    assert run_counted(program, seed) > 100_000
