@@ -358,3 +358,16 @@ def test_names_and_paths_that_lead_nowhere_are_rejected(tmp_path: Path) -> None:
         load_hand(tmp_path / "absent.yaml")
     with pytest.raises(InvalidInputError, match="human hand"):
         load_hand("three_finger", hand_length=0.19)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "barrett"])
+def test_vectors_of_many_postures_are_those_of_each(name: str) -> None:
+    hand = load_hand(name)
+    shares = np.random.default_rng(0).uniform(size=(4, len(hand.rest)))
+    q = hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+    expected = [hand.configuration_vector(row) for row in q]
+    np.testing.assert_allclose(
+        hand.configuration_vectors(q), expected, rtol=0.0, atol=1e-15
+    )
+    with pytest.raises(InvalidInputError, match="q"):
+        hand.configuration_vectors(q[:, :-1])
