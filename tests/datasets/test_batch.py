@@ -499,7 +499,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], str]:
     """A command for a robot with two hands, and what it prints; one of two files has one hand."""
     folder = tmp_path_factory.mktemp("whole") / "pour"
     folder.mkdir()
-    both = [piece(0, 40, "left"), piece(0, 40, "right")]
+    both = [piece(0, 20, "left"), piece(0, 20, "right")]
     write_recordings(both, folder / "0.npz")
     write_recordings(both[1:], folder / "1.npz")
     words = ["--robot", "g1", "--workers", "0", "--fps", "50", "--out"]
@@ -517,8 +517,8 @@ def test_an_episode_of_a_robot_is_what_map_hands_maps(
     lines = read_manifests(out)
     assert "got right" in lines["pour/1.npz::"].error
     done = lines["pour/0.npz::"]
-    assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 40)
-    hands = [piece(0, 40, "left"), piece(0, 40, "right")]
+    assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 20)
+    hands = [piece(0, 20, "left"), piece(0, 20, "right")]
     robot, arguments = load_robot("g1"), MappingArguments()
     motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
     with np.load(out / done.out) as columns:

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE
 from source_cases import (
@@ -254,7 +254,6 @@ FIELDS = {
 MESSAGES = st.fixed_dictionaries({}, optional=FIELDS).map(msgspec.msgpack.encode)
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.binary() | MESSAGES, st.sampled_from(["manus", "visionpro25", "manus25"]))
 def test_no_message_ends_it(wire: bytes, layout: str) -> None:
     source = datagrams.TrackDatagrams(address="udp://:1", layout=layout)
