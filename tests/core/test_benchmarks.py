@@ -49,7 +49,7 @@ def shared(benchmark: Callable[[str], Any]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", rotated(SCRIPTS, 8), ids=lambda script: script.stem)
+@pytest.mark.parametrize("script", rotated(SCRIPTS, 16), ids=lambda script: script.stem)
 def test_every_benchmark_runs_and_writes_its_numbers(
     script: Path,
     benchmark: Callable[[str], Any],
