@@ -104,7 +104,7 @@ def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
     hand = load(name)
     limit, configuration = MeasuredPairs(hand), hand.configuration()
     configuration.place(hand.configuration_vector(hand.rest))
-    assert limit.within(configuration.q).found[:, 0].min() > limit.margin
+    assert limit.nearest(configuration.q) > limit.margin
 
 
 @each_name
@@ -138,7 +138,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
             targets[:] = targets.mean(axis=0)
         for _ in range(15):
             assert ik.solve(targets, None, DT).status != "failed"
-            nearest = min(nearest, limit.within(ik.configuration.q).found[:, 0].min())
+            nearest = min(nearest, limit.nearest(ik.configuration.q))
     return nearest
 
 
@@ -149,7 +149,7 @@ def test_rows_never_contradict_the_box(name: str) -> None:
     limit, ik, overlaps = MeasuredPairs(hand), PointIk(hand, IkOptions()), 0
     for case in random_cases(hand, 40, seed=1):
         ik.place(case.q)
-        overlaps += limit.within(ik.configuration.q).found[:, 0].min() < 0.0
+        overlaps += limit.nearest(ik.configuration.q) < 0.0
         assert avoiding_step(ik, limit, case.point_targets, case.dt) is not None
     assert overlaps > 5
 
@@ -195,7 +195,7 @@ def test_overlapping_links_part() -> None:
             dq = avoiding_step(ik, limit, targets, DT)
             assert dq is not None
             ik.place(pin.integrate(hand.model, ik.configuration.q, dq))
-        assert limit.within(ik.configuration.q).found[:, 0].min() > 0.9 * limit.margin
+        assert limit.nearest(ik.configuration.q) > 0.9 * limit.margin
 
 
 @given(st.integers(0, 10_000))

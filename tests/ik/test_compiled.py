@@ -109,8 +109,7 @@ def test_hands_whose_links_press_have_one_command_on_both_paths(name: str) -> No
         assert one.iterations == other.iterations
         assert one.held_by == other.held_by
         worst = max(worst, np.abs(one.command.q - other.command.q).max())
-        distances = limit.within(slow.motion.q).found[:, 0]
-        deepest = min(deepest, distances.min())
+        deepest = min(deepest, limit.nearest(slow.motion.q))
         fast.motion = slow.motion = Motion(*slow.motion)
     assert worst < 1e-9
     # They overlapped, so the paths had to agree on by how much.

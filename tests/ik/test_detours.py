@@ -133,9 +133,7 @@ def test_a_detour_frees_a_caught_finger_within_all_limits(
         assert (q <= robot.upper_limits).all()
         speeds = np.abs(q - before) / DT
         assert (speeds <= robot.velocity_limits * (1.0 + 1e-9)).all()
-        assert (
-            collisions.within(mapper.point_ik.configuration.q).found[:, 0].min() > 0.0
-        )
+        assert collisions.nearest(mapper.point_ik.configuration.q) > 0.0
         before = q
     # Another posture has to be clearly nearer than where the hand stands.
     assert end_error(mapper, mapper.motion, human_q) < free / 0.75 + 0.25

@@ -40,6 +40,7 @@ def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
         ]
         distances = np.array([result.min_distance for result in results])
         assert set(np.flatnonzero(distances <= HORIZON)) == set(near.pairs)
+        assert measured.nearest(vector) == pytest.approx(distances.min(), abs=1e-8)
         np.testing.assert_allclose(near.found[:, 0], distances[near.pairs], atol=1e-8)
         for row, k in zip(near.found, near.pairs, strict=True):
             if row[0] > 1e-4:

@@ -46,7 +46,7 @@ class Case:
     def nearest(self, q: np.ndarray) -> float:
         """Return the smallest signed distance at a configuration [m]."""
         self._configuration.place(q)
-        return float(self._limit.within(self._configuration.q).found[:, 0].min())
+        return self._limit.nearest(self._configuration.q)
 
     def nearest_between(self, before: np.ndarray, after: np.ndarray) -> float:
         """Return the smallest signed distance on the straight way between two configurations."""
@@ -98,8 +98,11 @@ def test_the_rows_of_what_met_cut_off_the_way_on_which_it_met(case: Case) -> Non
     while len(cut) < 40:
         start = hand.configuration_vector(case.random_q(rng))
         step = 0.03 * rng.normal(size=len(hand.active_columns))
+        # Most postures overlap.
+        if case.nearest(start) < 2.5e-4:
+            continue
         met = limit.met_on(start, step)
-        if met is None or not len(met.pairs) or case.nearest(start) < 2.5e-4:
+        if met is None or not len(met.pairs):
             continue
         configuration.place(start)
         G, h = limit.rows(configuration, met, 5e-4)

@@ -309,7 +309,7 @@ def test_crossing_hands_do_not_overlap(g1: Hand) -> None:
         # The right hand ends to the left of the left one.
         step = mapper.map_step(*motion(i, apart=0.4, nearing=0.6), dt=DT)
         placed.place(mapper.robot.configuration_vector(step.command.q))
-        nearest = min(nearest, limit.within(placed.q).found[:, 0].min())
+        nearest = min(nearest, limit.nearest(placed.q))
     assert nearest > -1e-6
     assert nearest < 0.01
 

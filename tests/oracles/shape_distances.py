@@ -68,6 +68,13 @@ def overlaps_of(
     return np.minimum(forces * gives, yielding.depths[pairs])
 
 
+def _box_of(shape: pin.GeometryObject) -> tuple[Array, Array]:
+    """Return two corners of the box around a shape along its own axes [m], shape (3,) each."""
+    shape.geometry.computeLocalAABB()
+    box = shape.geometry.aabb_local
+    return np.ravel(box.min_), np.ravel(box.max_)
+
+
 class MeasuredPairs(CollisionLimit):
     """The pairs of a `CollisionLimit`, whose arguments it takes, with their distances."""
 
@@ -84,6 +91,10 @@ class MeasuredPairs(CollisionLimit):
         self._yields = np.zeros(len(self.bounds.first), dtype=bool)
         if self.yielding is not None:
             self._yields = self.yielding.forces > 0.0
+        boxes = [_box_of(shape) for shape in self.bounds.geometry.geometryObjects]
+        corners = np.reshape(boxes, (-1, 2, 3))
+        self._centres = corners.mean(axis=1)
+        self._radii = 0.5 * lengths(corners[:, 1] - corners[:, 0])
 
     @classmethod
     def of(cls, ik: PointIk) -> Self:
@@ -124,13 +135,41 @@ class MeasuredPairs(CollisionLimit):
             q: Pinocchio configuration, shape (nq,).
             horizon: Largest distance [m], of each pair or one for all; infinite for all pairs.
         """
-        found = self._found_at(q, np.arange(len(self.bounds.first)))
-        pairs = np.flatnonzero(found[:, 0] <= horizon)
-        return NearPairs(pairs, found[pairs])
+        pairs = np.flatnonzero(self._least(self._place(q)) <= horizon)
+        found = self._found(pairs)
+        is_near = (
+            found[:, 0] <= np.broadcast_to(horizon, self.bounds.first.shape)[pairs]
+        )
+        return NearPairs(pairs[is_near], found[is_near])
+
+    def nearest(self, q: Array) -> float:
+        """Return the smallest signed distance of all pairs at a configuration, shape (nq,) [m]."""
+        least = self._least(self._place(q))
+        nearest = np.inf
+        # Most pairs are farther apart than the nearest one whatever their shapes are.
+        for k in np.argsort(least).tolist():
+            if least[k] > nearest:
+                break
+            result = pin.computeDistance(self.bounds.geometry, self._shapes, k)
+            nearest = min(nearest, result.min_distance)
+        return nearest
+
+    def _least(self, poses: Array) -> Array:
+        """Return a distance that each pair has at least, that of balls around both [m]."""
+        centres = (poses[:, :3, :3] @ self._centres[..., None])[..., 0] + poses[
+            :, :3, 3
+        ]
+        first, second = self.bounds.first, self.bounds.second
+        apart = lengths(centres[first] - centres[second])
+        return apart - self._radii[first] - self._radii[second]
 
     def _found_at(self, q: Array, pairs: Array) -> Array:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
         self._place(q)
+        return self._found(pairs)
+
+    def _found(self, pairs: Array) -> Array:
+        """Return what is found of some pairs where the shapes have been placed, shape (r, 7)."""
         found = np.empty((len(pairs), 7))
         for row, k in zip(found, pairs.tolist(), strict=True):
             result = pin.computeDistance(self.bounds.geometry, self._shapes, k)

@@ -115,7 +115,7 @@ class Ways:
         for part in np.arange(1, count + 1) / count:
             q = before + part * (after - before)
             self._placed.place(self.hand.configuration_vector(q))
-            found.append(self._distances.within(self._placed.q).found[:, 0].min())
+            found.append(self._distances.nearest(self._placed.q))
         return min(found)
 
     def ends(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
