@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_core.errors import HandError
 from handmap_core.hands import FINGERS, THUMB, moved_by
 from handmap_core.se3 import Array, lengths, unit
 from .hand import Hand
@@ -318,20 +319,37 @@ class Finger:
         q = self._zero.copy()
         moving = np.sort(self.columns)
         low, high = self.hand.limits[:, moving]
+        ends = self.tip, self.knuckle
+        joints = [joint for joint, _ in ends]
+        offsets = np.array([offset for _, offset in ends])
+        try:
+            tree = self.hand.tree
+        except HandError:
+            # It has a joint that the core does not have.
+            tree = None
 
-        def distance(positions: Array) -> float:
-            q[moving] = positions
-            return self._length_at(q)
+        def distances(positions: Array) -> Array:
+            """Return the distance at each of T positions, shape (T, k)."""
+            postures = np.tile(self._zero, (len(positions), 1))
+            postures[:, moving] = positions
+            if tree:
+                points = tree.points_on_joints(postures, joints, offsets)
+                points = points.reshape(-1, 2, 3)
+            else:
+                points = self._view.points(postures, ends)
+            return lengths(points[:, 0] - points[:, 1])
 
         random = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(moving)))
-        found = max([q[moving], *random], key=distance)
-        best = distance(found)
+        samples = np.vstack([q[moving], random])
+        found_distances = distances(samples)
+        found = samples[found_distances.argmax()]
+        best = float(found_distances.max())
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
             before = best
             for change in np.vstack([[-row, row] for row in np.diag(step)]):
                 tried = np.clip(found + change, low, high)
-                if (reached := distance(tried)) > best + 1e-9:
+                if (reached := float(distances(tried[None])[0])) > best + 1e-9:
                     best = reached
                     found = tried
             if best == before:
