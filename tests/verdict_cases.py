@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 from injection import FAULT_KINDS, inject, parse_faults
-from lies import Take, all_lies, live_lies, synthetic_takes
+from lies import Take, all_lies, live_lies, model_take
 from pinocchio import exp3
 
 from handmap_core.human.findings import Finding
 from handmap_core.human.recording import sample_columns
 from handmap_core.human.sample import HumanSample, Verdict, human_name
-from handmap_qp import load_hand, read_recording
-from handmap_qp.hands.human import HumanLengths
+from handmap_qp import Hand, load_hand, read_recording
+from handmap_qp.hands import Side
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -71,12 +71,7 @@ class Record(NamedTuple):
 
 def record(stream: Stream) -> Record:
     """Judge a stream."""
-    side = stream.samples[0].side
-    lengths = None
-    if stream.hand_length is not None:
-        lengths = HumanLengths.from_hand_length(stream.hand_length)
-    human = load_hand(human_name(side), points="landmarks", lengths=lengths)
-    guard = StreamGuard(human)
+    guard = StreamGuard(_human(stream.samples[0].side, stream.hand_length))
     arrivals = stream.arrivals or [None] * len(stream.samples)
     # Numbers may be too large to be squared.
     with np.errstate(all="ignore"):
@@ -91,6 +86,12 @@ def record(stream: Stream) -> Record:
         float(np.nansum([verdict.consistency for verdict in verdicts])),
         checked,
     )
+
+
+@cache
+def _human(side: Side, hand_length: float | None) -> Hand:
+    """Return a person's hand, which no stream changes."""
+    return load_hand(human_name(side), points="landmarks", hand_length=hand_length)
 
 
 def text_of(finding: Finding | None) -> str:
@@ -159,13 +160,17 @@ def streams() -> dict[str, Stream]:
     found["ever smaller"] = Stream(_shrinking())
     for seed in range(12):
         found[f"hostile {seed}"] = Stream(_hostile(seed))
-    for take in synthetic_takes()[1:3]:
-        length = {"left": None, "right": 0.17}[take.side]
+    for take, length in zip(_takes(), (None, 0.17), strict=True):
         whole = take.part(take.time[0], 6.0)
         for lie in [*all_lies(), *live_lies()]:
             told = lie.tell(whole)
             found[f"{take.name}: {lie.name}"] = Stream(_samples(told), length)
     return found
+
+
+def _takes() -> tuple[Take, Take]:
+    """Return motions of a left hand, and of a right one that is 170 mm long."""
+    return model_take("left", None, 1), model_take("right", 0.17, 2)
 
 
 def _samples(take: Take) -> list[HumanSample]:

@@ -313,7 +313,7 @@ def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fing
     cube = reference.grasp.object_pose
     counts = contact_counts(
         plan_grasps(
-            reference.grasp.hand, CUBE, object_pose=cube, samples=60, quality="msvg"
+            reference.grasp.hand, CUBE, object_pose=cube, samples=30, quality="msvg"
         )
     )
     assert max(counts, key=lambda number: counts[number]) == mode
@@ -325,7 +325,7 @@ def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fing
         )
         == mode
     )
-    assert counts[mode] > share * 60
+    assert counts[mode] > share * 30
 
 
 def test_a_plan_is_its_seed() -> None:

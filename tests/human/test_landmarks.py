@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import crossed
 
 from handmap_core.human.sample import TIPS, human_name
 from handmap_qp import (
@@ -278,7 +279,7 @@ def test_real_hands_are_fitted_within_their_limits(recordings: Path) -> None:
         assert (motion.q >= motion.human.lower_limits - 1e-9).all()
         assert (motion.q <= motion.human.upper_limits + 1e-9).all()
         # Measured: 0.5 to 2.1 mm, the most on the noisy video.
-        seen = np.flatnonzero(motion.valid)
+        seen = np.flatnonzero(motion.valid)[::4]
         poses = zip(motion.q[seen], motion.wrist[seen], strict=True)
         samples = zip(poses, recording.landmarks[seen], strict=True)
         errors = [errors_of(motion.human, *pose, points) for pose, points in samples]
@@ -316,8 +317,10 @@ def test_a_first_sample_of_any_posture_is_fitted_exactly(seed: int) -> None:
     np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)
 
 
-@pytest.mark.parametrize("bend", [0.3, 0.6, 0.9, 1.2])
-@pytest.mark.parametrize("spread", [(-1.2, 0.5), (0.5, -1.2), (-1.0, 0.6)])
+@pytest.mark.parametrize(
+    ("bend", "spread"),
+    crossed([0.3, 0.6, 0.9, 1.2], [(-1.2, 0.5), (0.5, -1.2), (-1.0, 0.6)], every=3),
+)
 def test_a_finger_that_changes_its_side_at_90_degrees_is_not_caught_there(
     spread: tuple[float, float], bend: float
 ) -> None:

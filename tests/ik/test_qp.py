@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -45,6 +46,10 @@ def any_posture(
 ) -> np.ndarray:
     angles = rng.uniform(hand.lower_limits - outside, hand.upper_limits + outside)
     return hand.configuration_vector(angles, np.eye(4) if hand.is_floating else None)
+
+
+# Those that no test changes.
+loaded = cache(load_hand)
 
 
 # -- the box
@@ -483,7 +488,7 @@ WEIGHTS = [
 def test_the_largest_weight_is_solved_and_a_larger_one_named(
     option: Option, formulation: str
 ) -> None:
-    human, robot = load_hand("human"), load_hand("three_finger")
+    human, robot = loaded("human"), loaded("three_finger")
     assert option.range
     changes: dict[str, Any] = {option.name: option.range[1], "formulation": formulation}
     mapper = HandMapper(human, robot, ik=IkOptions(**changes))

@@ -90,7 +90,7 @@ def test_ways_1_and_2_pose_the_same_problem(
     which: tuple[str, str, str | None], options: IkOptions
 ) -> None:
     hand = hand_of(which)
-    for case in random_cases(hand, 20):
+    for case in random_cases(hand, 8):
         ik = placed(hand, case, options)
         problem, (H, c, lower, upper) = way_1(ik, case), way_2(ik, case)
         assert problem.G is None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import crossed
 
 from handmap_core.mapping.alignment import rotation_of
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
@@ -64,9 +65,10 @@ def test_every_preset_has_it() -> None:
     assert set(PRESETS) == set(OF_A_PALM)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("robot", ["allegro_right", "ur5_allegro"])
-@pytest.mark.parametrize("preset", OF_A_PALM)
+@pytest.mark.parametrize(
+    ("preset", "robot", "formulation"),
+    crossed(OF_A_PALM, ["allegro_right", "ur5_allegro"], FORMULATIONS, every=3),
+)
 def test_a_turned_world_is_turned_back(
     preset: str, robot: str, formulation: str
 ) -> None:

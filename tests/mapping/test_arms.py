@@ -86,7 +86,7 @@ def test_an_arm_says_how_far_it_is_off_and_what_holds_it(formulation: str) -> No
     assert (step.arm_held_by, step.status) == ("", "converged")
     # Too far away for any posture.
     wrist[1, 3] = 5.0
-    for _ in range(600):
+    for _ in range(300):
         step = mapper.map_step(HUMAN.rest, wrist)
     assert step.arm_held_by in ("reach", "limit")
     assert step.status != "converged"

@@ -10,13 +10,14 @@ import gesture_tours
 import numpy as np
 import pytest
 import shared_hands
+from marks import full
 
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
 
 # Python takes a minute a hand for it.
-HANDS = ("allegro_right", "shadow_right", "leap_right")
+HANDS = ("allegro_right", "shadow_right", full("leap_right"))
 
 
 @pytest.mark.parametrize("name", HANDS)

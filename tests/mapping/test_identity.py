@@ -95,7 +95,7 @@ def test_a_thumb_is_like_the_persons_where_it_reaches_places(
 def test_likeness_of_fingers_changes_smoothly_from_hand_to_hand() -> None:
     pair = hand_pair(person(), load_hand("allegro_right"))
     morph = Morph(pair)
-    shares = np.linspace(0.0, 1.0, 41)
+    shares = np.linspace(0.0, 1.0, 21)
     found = [
         hand_pair(pair.human, morph.hand_at(share)).finger_likeness for share in shares
     ]
@@ -104,7 +104,7 @@ def test_likeness_of_fingers_changes_smoothly_from_hand_to_hand() -> None:
 
 def test_errors_grow_smoothly_as_a_hand_becomes_a_robots() -> None:
     human = person()
-    postures = usual_postures(human, 5, seed=3)
+    postures = usual_postures(human, 3, seed=3)
     steps = list(follow_morph(human, load_hand("allegro_right"), postures, 20))
     assert np.percentile(steps[0].tips, 95) < 2.0
     moved = [after.moved_since(before).max() for before, after in pairwise(steps)]

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import crossed
 from strategies import generators, motion_of, rotations
 
 from handmap_qp import (
@@ -32,13 +33,10 @@ ROBOT = load_hand("allegro_right", points="fingertips_middle")
 QUARTER = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 POINT = (0.3, -0.2, 0.5)
 
-rigid_froms = pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
-pivots = pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])
-alignments = pytest.mark.parametrize(
-    "alignment",
-    ["world", "palm", "y-up", QUARTER],
-    ids=["world", "palm", "y-up", "rotation"],
-)
+RIGID_FROMS = ["points", "wrist", "none"]
+PIVOTS = ["centroid", "palm", "point", "world"]
+rigid_froms = pytest.mark.parametrize("rigid_from", RIGID_FROMS)
+pivots = pytest.mark.parametrize("pivot", PIVOTS)
 
 
 class Situation:
@@ -171,9 +169,10 @@ def options_of(**choices: Any) -> MappingOptions:
     )
 
 
-@rigid_froms
-@pivots
-@alignments
+@pytest.mark.parametrize(
+    ("rigid_from", "pivot", "alignment"),
+    crossed(RIGID_FROMS, PIVOTS, ["world", "palm", "y-up", QUARTER], every=4),
+)
 @settings(max_examples=8)
 @given(
     generator=generators,

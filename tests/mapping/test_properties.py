@@ -38,9 +38,17 @@ SETTLE = IkOptions(
     has_velocity_limits=False,
 )
 
-rigid_froms = pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
-own_pivots = pytest.mark.parametrize("pivot", ["centroid", "palm"])
-references = pytest.mark.parametrize("reference", ["first", "previous"])
+RIGID_FROMS = ["points", "wrist", "none"]
+OWN_PIVOTS = ["centroid", "palm"]
+REFERENCES = ["first", "previous"]
+rigid_froms = pytest.mark.parametrize("rigid_from", RIGID_FROMS)
+own_pivots = pytest.mark.parametrize("pivot", OWN_PIVOTS)
+references = pytest.mark.parametrize("reference", REFERENCES)
+# Each value is in the suite with each one of another axis; `--full` runs the other half.
+half_of_them = pytest.mark.parametrize(
+    ("rigid_from", "pivot", "reference"),
+    crossed(RIGID_FROMS, OWN_PIVOTS, REFERENCES, every=2),
+)
 
 
 def samples(
@@ -52,30 +60,33 @@ def samples(
 
 
 @pytest.mark.slow
-@rigid_froms
-@references
 @pytest.mark.parametrize(
-    ("alignment", "pivot"),
-    # A point common to both worlds requires that both worlds are the same.
-    [
-        ("world", "point"),
-        *(
-            (alignment, pivot)
-            for alignment in ("world", "palm", QUARTER)
-            for pivot in ("centroid", "palm")
-        ),
-    ],
+    ("rigid_from", "reference", "worlds"),
+    crossed(
+        RIGID_FROMS,
+        REFERENCES,
+        # A point common to both worlds requires that both worlds are the same.
+        [
+            ("world", "point"),
+            *(
+                (alignment, pivot)
+                for alignment in ("world", "palm", QUARTER)
+                for pivot in ("centroid", "palm")
+            ),
+        ],
+        every=3,
+    ),
 )
 @settings(max_examples=6)
 @given(world=poses, generator=generators)
 def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
     rigid_from: Any,
     reference: Any,
-    alignment: Any,
-    pivot: Any,
+    worlds: tuple[Any, Any],
     world: np.ndarray,
     generator: np.random.Generator,
 ) -> None:
+    alignment, pivot = worlds
     choices: dict[str, Any] = {
         "rigid_from": rigid_from,
         "reference": reference,
@@ -109,9 +120,7 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
         )
 
 
-@rigid_froms
-@own_pivots
-@references
+@half_of_them
 @settings(max_examples=6)
 @given(world=poses, generator=generators)
 def test_with_palm_alignment_the_robots_world_may_lie_anywhere(
@@ -139,9 +148,7 @@ def test_with_palm_alignment_the_robots_world_may_lie_anywhere(
         )
 
 
-@rigid_froms
-@own_pivots
-@references
+@half_of_them
 @settings(max_examples=6)
 @given(rotation=rotations, translation=translations, generator=generators)
 def test_turning_the_robots_world_and_the_alignment_turns_the_robot(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from limit_judge import (
     samples_of,
     without,
 )
+from marks import crossed, rotated
 
 from handmap_core.human.sample import HumanSample
 from handmap_core.ik.gate import Gate
@@ -40,6 +41,8 @@ MOST = 30.0
 """Limit of acceleration [rad/s^2]."""
 PRESET = get_preset("teleoperation")
 FORMULATIONS = ("compiled", "direct")
+# Of the samples before a jump, and of the one behind it [s].
+ARRIVALS = [(None, None), (3.0, None), (None, 3.005)]
 PAUSE = without(in_turns((60.0, 60.0), 1.2), "right", 0.6, 0.8)
 STREAMS = {
     "in turns": in_turns((60.0, 60.0), 1.0),
@@ -94,7 +97,7 @@ def test_a_follower_keeps_its_limits_by_time_stamps(g1: Hand, name: str) -> None
     check(followed(RobotFollower(mapper_of(g1)), STREAMS[name]))
 
 
-@pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize("name", rotated(STREAMS, 2))
 def test_a_mapper_keeps_its_limits_by_the_instants_it_is_given(
     g1: Hand, name: str
 ) -> None:
@@ -138,7 +141,7 @@ def interleavings(draw: st.DrawFn) -> list[Event]:
 
 
 @settings(
-    max_examples=15,
+    max_examples=8,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -198,8 +201,9 @@ def test_a_pause_counts_once_whichever_hand_ends_it(
     assert worst.acceleration <= MOST * (1.0 + 1e-6)
 
 
-@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
-@pytest.mark.parametrize("ahead", [1e6, -5e3, -1e6])
+@pytest.mark.parametrize(
+    ("ahead", "arrivals"), crossed([1e6, -5e3, -1e6], ARRIVALS, every=3)
+)
 def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     fresh: RobotFollower, ahead: float, arrivals: tuple[float | None, float | None]
 ) -> None:
@@ -214,8 +218,7 @@ def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
+@pytest.mark.parametrize(("side", "arrivals"), crossed(SIDES, ARRIVALS, every=2))
 def test_a_robot_stands_still_for_a_pause_that_may_be_another_clock(
     fresh: RobotFollower, side: Side, arrivals: tuple[float | None, float | None]
 ) -> None:
@@ -319,8 +322,9 @@ def test_a_clock_that_jumps_ahead_is_right_unless_arrival_contradicts_it(
     np.testing.assert_allclose(np.diff(times), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("sides", [("left",), SIDES], ids=len)
-@pytest.mark.parametrize("back", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("sides", "back"), crossed([("left",), SIDES], [0.0, 3.0], every=2)
+)
 def test_stamps_that_outrun_arrival_give_a_robot_no_more_time(
     fresh: RobotFollower, back: float, sides: tuple[Side, ...]
 ) -> None:
@@ -440,8 +444,9 @@ def test_a_stop_between_samples_takes_its_time_from_them(g1: Hand) -> None:
     assert worst.acceleration <= MOST * (1.0 + 1e-6)
 
 
-@pytest.mark.parametrize("gap", [0.06, 0.12, 0.2, 0.3, 0.6, 5.0])
-@pytest.mark.parametrize("most", [3.0, MOST])
+@pytest.mark.parametrize(
+    ("gap", "most"), crossed([0.06, 0.12, 0.2, 0.3, 0.6, 5.0], [3.0, MOST], every=2)
+)
 def test_a_single_hand_starts_from_rest_after_a_gap(
     g1: Hand, gap: float, most: float
 ) -> None:
@@ -555,13 +560,9 @@ WRONG = {
 """What cannot be a time of a command."""
 
 
-@pytest.mark.parametrize("what", WRONG)
 @pytest.mark.parametrize("samples", [0, 2])
-def test_a_time_that_cannot_be_one_changes_nothing(
-    g1: Hand, what: str, samples: int
-) -> None:
+def test_a_time_that_cannot_be_one_changes_nothing(g1: Hand, samples: int) -> None:
     # The core maps samples after the first ones.
-    when: Any = WRONG[what]
     mapper = mapper_of(g1)
     single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
     follower = Follower(copy.deepcopy(single))
@@ -574,16 +575,17 @@ def test_a_time_that_cannot_be_one_changes_nothing(
         follower.map_sample(sample)
     movers = mapper, single, follower.mapper
     before = [mover.point_ik.gate.stamp for mover in movers]
-    calls = [
-        lambda: mapper.map_landmarks(landmarks, dt=when),
-        lambda: single.map_landmarks(landmarks["left"], dt=when),
-        lambda: single.hold(when),
-        lambda: follower.map_sample(last, dt=when),
+    calls: list[Callable[[Any], object]] = [
+        lambda when: mapper.map_landmarks(landmarks, dt=when),
+        lambda when: single.map_landmarks(landmarks["left"], dt=when),
+        single.hold,
+        lambda when: follower.map_sample(last, dt=when),
     ]
-    for call in calls:
-        with pytest.raises(InvalidInputError, match="dt: expected"):
-            call()
-    assert [mover.point_ik.gate.stamp for mover in movers] == before
+    for what, when in WRONG.items():
+        for call in calls:
+            with pytest.raises(InvalidInputError, match="dt: expected"):
+                call(when)
+        assert [mover.point_ik.gate.stamp for mover in movers] == before, what
 
 
 def moved_in(mapper: HandMapper | RobotMapper, count: int) -> int:

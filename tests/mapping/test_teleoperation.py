@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mapping_cases import little_pose, near_rest
-from marks import slow
+from marks import crossed, slow
 
 from handmap_core.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp import (
@@ -259,8 +259,9 @@ def pinched(finger: str, gap: float) -> np.ndarray:
     return ik.configuration.q[HUMAN.q_indices]
 
 
-@pytest.mark.parametrize("formulation", ["compiled", "direct"])
-@pytest.mark.parametrize("gap", [0.005, 0.012])
+@pytest.mark.parametrize(
+    ("formulation", "gap"), crossed(["compiled", "direct"], [0.005, 0.012], every=2)
+)
 def test_a_pinch_that_is_held_stands_still(formulation: str, gap: float) -> None:
     """Fingertips that are pressed flat on each other do not rock from corner to corner."""
     robot = load_hand("hey5")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import crossed
 from strategies import affine_motions, generators, motion_of, poses
 
 from handmap_qp import Homogeneous, load_hand
@@ -23,8 +24,10 @@ HERE = np.eye(4)
 POINT = (0.3, -0.2, 0.5)
 OPEN: dict[str, Any] = {"stretch_min": 0.0, "stretch_max": np.inf}
 
-rigid_froms = pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
-pivots = pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])
+RIGID_FROMS = ["points", "wrist", "none"]
+PIVOTS = ["centroid", "palm", "point", "world"]
+rigid_froms = pytest.mark.parametrize("rigid_from", RIGID_FROMS)
+pivots = pytest.mark.parametrize("pivot", PIVOTS)
 alignments = pytest.mark.parametrize("alignment", ["world", "palm"])
 
 
@@ -89,8 +92,7 @@ def image(motion: np.ndarray, point: np.ndarray) -> np.ndarray:
     return transform_points(motion, point[None])[0]
 
 
-@rigid_froms
-@pivots
+@pytest.mark.parametrize(("rigid_from", "pivot"), crossed(RIGID_FROMS, PIVOTS, every=2))
 @settings(max_examples=15)
 @given(motion=affine_motions(), wrist=poses, start=poses)
 def test_the_parts_multiply_to_the_motion(
@@ -249,9 +251,10 @@ def test_the_robots_points_see_the_motion_in_their_own_axes(
     )
 
 
-@pytest.mark.parametrize("residual_gain", [0.0, 1.0])
-@rigid_froms
-@pivots
+@pytest.mark.parametrize(
+    ("residual_gain", "rigid_from", "pivot"),
+    crossed([0.0, 1.0], RIGID_FROMS, PIVOTS, every=2),
+)
 @settings(max_examples=15)
 @given(
     generator=generators,

@@ -1,4 +1,4 @@
-"""The published method judges the compiled core: targets and commands, on 100 samples a hand.
+"""The published method judges the compiled core: targets and commands, on 30 samples a hand.
 
 Targets are those of numpy, kinematics are Pinocchio's, mink poses the QP and quadprog solves it. Of
 the core this way has the gate alone: the bounds of each command, and the rows that keep links apart
@@ -33,7 +33,8 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.trackers.formats import read_recording
 
-SAMPLES = 100
+# Every sample starts from one state, so few have all there is: an open hand, a fist and a pinch.
+SAMPLES = 30
 PRESETS = "paper", "object", "teleoperation"
 # With one like the person's, whose joints have other shares of damping.
 HANDS = [*(name for name in hand_names() if not name.startswith("human")), "human"]
@@ -75,7 +76,8 @@ def mappers(name: str, preset: str, solver: str) -> tuple[HandMapper, HandMapper
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "preset"), crossed(HANDS, PRESETS, every=3))
+# `tests/ik/test_compiled.py` has the other half of the hands in the suite, by a path like this one.
+@pytest.mark.parametrize(("name", "preset"), crossed(HANDS, PRESETS, every=6))
 def test_the_core_moves_a_hand_as_the_published_method_does(
     name: str, preset: str
 ) -> None:
@@ -134,7 +136,7 @@ def test_other_solvers_move_a_hand_alike(preset: str, solver: str) -> None:
             np.testing.assert_allclose(step.command.q, found.command.q, atol=1e-5)
         by_core.motion = published.motion = by_core.motion
     # ProxQP takes a few problems for infeasible.
-    assert failed <= (0 if solver == "osqp" else 5)
+    assert failed <= (0 if solver == "osqp" else 1)
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "ur5_allegro", "robotiq_2f85"])
@@ -143,7 +145,7 @@ def test_the_box_of_the_qp_is_that_of_its_formula(name: str) -> None:
     ik = PointIk(hand, IkOptions())
     rng = np.random.default_rng(0)
     joints = hand.joint_columns
-    for _ in range(SAMPLES):
+    for _ in range(100):
         # Some joints begin outside their limits, from where they come back.
         q = rng.uniform(hand.lower_limits - 0.1, hand.upper_limits + 0.1)
         ik.place(hand.configuration_vector(q))

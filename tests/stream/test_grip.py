@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -367,6 +368,7 @@ def pads_middle(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
     return (ends[0] + thumb.radius * way + ends[1] - index.radius * way) / 2.0
 
 
+@cache
 def meeting(allegro: Hand) -> np.ndarray:
     """Return where the pads meet with nothing between them [m], shape (3,)."""
     closed = [step for step, _ in run(grip_follower(allegro), width=-1.0)][75].command

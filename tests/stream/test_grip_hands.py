@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -60,8 +61,12 @@ def test_jaws_around_nothing_grip_nothing() -> None:
         assert step.command.effort is None
 
 
+# Those that no test changes.
+robot_of = cache(load_robot)
+
+
 def robot_grip(**options: Any) -> RobotGripFollower:
-    mapper = RobotMapper(load_robot("ur5_pair"))
+    mapper = RobotMapper(robot_of("ur5_pair"))
     return RobotGripFollower(RobotFollower(mapper), GripOptions(**options))
 
 
@@ -122,7 +127,7 @@ def test_both_hands_of_a_robot_grip_at_once() -> None:
 @pytest.mark.slow
 def test_a_robot_that_meets_nothing_follows_as_without_a_grip() -> None:
     grip = robot_grip()
-    plain = RobotFollower(RobotMapper(load_robot("ur5_pair")))
+    plain = RobotFollower(RobotMapper(robot_of("ur5_pair")))
     robot = plain.mapper.robot
     plant = BlockedHands(robot, {"left": -1.0, "right": -1.0})
     for hands in both_hands():

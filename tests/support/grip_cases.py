@@ -24,6 +24,10 @@ HUMAN = load_hand("human", points="landmarks")
 WIDTH = 0.03
 
 
+# Workspaces, whose users place them anew.
+_configuration = lru_cache(maxsize=8)(Hand.configuration)
+
+
 @lru_cache
 def pick(opens: bool = False) -> Recording:
     """A hand closes at .8 s; then it may open as it has closed."""
@@ -45,7 +49,7 @@ def samples(opens: bool = False) -> Iterator[HumanSample]:
 
 def gap_of(hand: Hand, q: np.ndarray) -> float:
     """Distance of the pads of thumb and index [m], by the poses of their links."""
-    placed = hand.configuration()
+    placed = _configuration(hand)
     wrist = np.eye(4) if hand.is_floating else None
     placed.place(hand.configuration_vector(q, wrist))
     pads = [robot_fingers(hand).pads[name] for name in ("thumb", "index")]
@@ -110,6 +114,7 @@ class BlockedHands:
         self.q = moved
 
 
+@lru_cache
 def both_hands(opens: bool = False) -> list[dict[Side, HumanSample]]:
     """A pick by both hands at once."""
     sides: tuple[Side, ...] = "left", "right"
