@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from marks import crossed
 from oracles.shape_distances import MeasuredPairs
 
 from handmap_qp import (
@@ -112,8 +113,10 @@ def commanded(name: str, squeeze: float) -> list[Array]:
     return found[6::6]
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "leap_right", "shadow_right"])
-@pytest.mark.parametrize("squeeze", [0.3, 3.0])
+@pytest.mark.parametrize(
+    ("name", "squeeze"),
+    crossed(["allegro_right", "leap_right", "shadow_right"], [0.3, 3.0], every=2),
+)
 def test_links_press_but_no_harder_than_asked_for(name: str, squeeze: float) -> None:
     forces = press(mapper_of(name, squeeze), commanded(name, squeeze))
     assert 0.0 < max(forces) <= TOLERANCE * squeeze

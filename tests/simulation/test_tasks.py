@@ -524,15 +524,16 @@ def test_the_command_holds_what_it_meets(
     by_default = json.loads(capsys.readouterr().out)["rows"]
     slips = {}
     known = {}
-    for grip in ("grip", "grip+place", "grip+place5"):
+    # A robot that is simulated has encoders: it grips by default.
+    assert by_default[-1]["mapping"] == f"{by_default[0]['mapping']}+grip"
+    slips["grip"] = by_default[-1]
+    for grip in ("grip+place", "grip+place5"):
         assert cli.main([*words, "--grip", grip]) == 0
         found = json.loads(capsys.readouterr().out)
         plain, own = found["rows"]
         known[grip] = found["assumed"].get("known place", "")
         assert own["mapping"] == f"{plain['mapping']}+{grip}"
         slips[grip] = own
-    # A robot that is simulated has encoders: it grips by default.
-    assert by_default[-1] == slips["grip"]
     assert cli.main([*words, "--grip", "off"]) == 0
     assert json.loads(capsys.readouterr().out)["rows"] == by_default[:1]
     # Where the object is known, it is not pushed away before it is held.
