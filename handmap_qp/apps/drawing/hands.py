@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from handmap_core.errors import InvalidInputError, require
 from handmap_core.se3 import Array, affine, lengths, unit
@@ -123,13 +125,21 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
         mesh: A `trimesh.Trimesh` [m].
         colour: Red, green and blue in 0..1.
 
-    Raises:
-        MissingExtraError: If trimesh is not installed.
     """
-    shade = require("trimesh", "plot").graph.smooth_shade
-    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
-    normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles.painted(smooth.triangles, normals, colour)
+    faces = mesh.faces
+    count = len(faces)
+    # A surface is faces that meet at small angles: in each, a vertex has a normal of its own.
+    # trimesh's `smooth_shade` does the same, but cuts the mesh into its surfaces, which is slow.
+    pairs = mesh.face_adjacency[mesh.face_adjacency_angles < _SMOOTH_ANGLE]
+    meets = coo_array((np.ones(len(pairs)), pairs.T), (count, count))
+    _, surface = connected_components(meets, directed=False)
+    keys = surface[:, None] * len(mesh.vertices) + faces
+    _, owner = np.unique(keys.ravel(), return_inverse=True)
+    # Faces count by their angle at the vertex.
+    parts = mesh.face_angles[..., None] * mesh.face_normals[:, None]
+    sums = [np.bincount(owner, part) for part in parts.reshape(-1, 3).T]
+    normals = unit(np.transpose(sums)[owner]).reshape(-1, 3, 3)
+    return Triangles.painted(mesh.triangles, normals, colour)
 
 
 def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
