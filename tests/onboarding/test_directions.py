@@ -42,9 +42,10 @@ def test_a_bare_hand_has_no_directions_to_check() -> None:
 
 def test_the_picture_has_them() -> None:
     hand = load_hand("ur5_allegro")
-    scene = hand_scene(hand, measure_directions(hand))
+    rows = measure_directions(hand)
+    scene = hand_scene(hand, rows)
     labels = [label for _, _, label, _ in scene.arrows]
-    assert labels[3:] == [row["direction"] for row in measure_directions(hand)]
+    assert labels[3:] == [row["direction"] for row in rows]
     ends = np.array([end for _, end, *_ in scene.arrows[3:]])
     # Forward is against back, left against right, up against down.
     np.testing.assert_allclose(
@@ -53,7 +54,17 @@ def test_the_picture_has_them() -> None:
 
 
 @pytest.mark.slow
-def test_they_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_they_are_printed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # Fingers are moved by other tests. The picture has a quarter of its size.
+    monkeypatch.setattr(
+        "handmap_qp.apps.onboarding.check._MOTIONS", (check_directions,)
+    )
+    monkeypatch.setattr("handmap_qp.apps.onboarding.picture.PANEL", (190, 205))
+    monkeypatch.setattr("handmap_qp.apps.drawing.scene.PANEL", (190, 205))
     picture = tmp_path / "ur5.png"
     words = ["hands", "check", "ur5_allegro", "--picture", str(picture)]
     assert cli.main(words) == 0

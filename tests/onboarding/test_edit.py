@@ -19,11 +19,12 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
-from browser import DRAWING, Browser, find_chromium
+from browser import DRAWING, Browser, find_chromium, light_simply
 from made_hands import make_hand
 from patience import kept_going, wait_until
 
 from handmap_qp import Hand, HandError, InvalidInputError, load_hand
+from handmap_qp.apps.offline.fidelity import ByFinger, sample_workspace
 from handmap_qp.apps.onboarding import edit
 from handmap_qp.apps.onboarding.cli import HandsInit
 from handmap_qp.apps.onboarding.detect import Detection, detect
@@ -169,7 +170,33 @@ def comments(file: Path) -> set[str]:
     return {line.strip() for line in lines if line.strip().startswith("# ")}
 
 
-def test_scores_tell_a_palm_that_is_turned_over() -> None:
+@pytest.fixture
+def small_gestures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Map gestures as ever, but draw them in a few pixels; what fingers can reach is not shown.
+
+    Pictures of gestures are those of tests/drawing/test_contact_sheet.py.
+    """
+
+    def drawn(columns: list[Any], rows: list[Any], **_: str) -> np.ndarray:
+        return np.full((len(rows), 1 + len(columns), 2, 4, 4, 3), 0.5)
+
+    def reachable(hand: Hand) -> ByFinger:
+        return sample_workspace(hand, count=100)
+
+    monkeypatch.setattr("handmap_qp.apps.onboarding.gestures.pose_pictures", drawn)
+    monkeypatch.setattr("handmap_qp.apps.offline.fidelity.sample_workspace", reachable)
+
+
+def test_gestures_have_pictures_of_human_and_robot() -> None:
+    shown, _ = draw_gestures(load_hand("three_finger"))
+    assert tuple(shown) == GESTURES
+    for picture in shown.values():
+        # Both are drawn, and no two are the same.
+        assert (picture.std(axis=(1, 2, 3)) > 0.01).all()
+    assert len({picture.tobytes() for picture in shown.values()}) == len(GESTURES)
+
+
+def test_scores_tell_a_palm_that_is_turned_over(small_gestures: None) -> None:
     hand = load_hand("allegro_left")
     scores = []
     for each in (hand, applied(hand, edit.with_palm_turned)):
@@ -267,7 +294,9 @@ def is_asked(browser: Browser, y: float) -> bool:
     )
 
 
-def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
+def test_the_page_corrects_a_hand_in_a_browser(
+    tmp_path: Path, small_gestures: None
+) -> None:
     program = find_chromium()
     if program is None:
         pytest.skip(
@@ -288,6 +317,7 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
         click("button", f"e => e.innerText.trim() == '{button}'")
 
     with serving() as server, Browser(program) as browser:
+        light_simply(server)
         editor = HandEditor(server, found, out)
         with kept_going(editor.tick, 0.05):
             browser.open(f"http://127.0.0.1:{server.get_port()}")

@@ -183,8 +183,13 @@ def test_show_names_the_joints_by_part(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_check_draws_the_robot(
-    written: Path, capsys: pytest.CaptureFixture[str]
+    written: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # A quarter of the picture's size.
+    monkeypatch.setattr("handmap_qp.apps.onboarding.picture.PANEL", (190, 205))
+    monkeypatch.setattr("handmap_qp.apps.drawing.scene.PANEL", (190, 205))
     file = str(written / "robot.yaml")
     assert main(["robots", "check", file, "--no-motion", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -22,10 +22,9 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
-from browser import DRAWING, Browser, find_chromium
+from browser import DRAWING, Browser, find_chromium, light_simply
 from patience import PATIENCE, kept_going, wait_until
 from viewer_cases import COUNT, make_replay, plotted, write_recording
-from viser import ViserServer
 
 import handmap_qp
 from handmap_qp import (
@@ -203,16 +202,6 @@ def viewer() -> Iterator[ReplayViewer]:
         shown.tick(0.0)
         with kept_going(lambda: shown.tick(0.05)):
             yield shown
-
-
-def light_simply(server: ViserServer) -> None:
-    """Leave out viser's environment map and its shadows: the hands are darker.
-
-    Without them, software rendering takes a third of the time to load a page. The written page
-    keeps both.
-    """
-    server.scene.configure_environment_map(None)
-    server.scene.configure_default_lights(cast_shadow=False)
 
 
 def skin(pixels: np.ndarray) -> int:
