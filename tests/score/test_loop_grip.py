@@ -19,6 +19,7 @@ from handmap_score.tasks.operator import HumanHand, Joints
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import PickTask
 from handmap_score.tasks.task import Scene, Signals
+from marks import rotated
 
 from handmap_qp import load_hand, read_recording
 from handmap_qp.apps.simulation.commands import GripName
@@ -174,7 +175,7 @@ class Noted:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["", "+place5"])
+@pytest.mark.parametrize("ending", rotated(["+place5", ""], 2))
 def test_pads_that_press_have_an_effort(ending: str) -> None:
     """An attempt with a grip picks the die of the plain one, and presses while it carries it."""
     task = PickTask(ROBOT)

@@ -24,6 +24,7 @@ from handmap_score.tasks.person import (
 from handmap_score.tasks.task import Scene, Signals
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import full
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.hands import Hand, load_hand
@@ -437,12 +438,15 @@ def test_the_palms_error_grows_with_its_movements() -> None:
     assert shares[1] > 0.9
 
 
-def test_the_hand_closes_where_the_object_lies_between_the_pads(robot: Hand) -> None:
+@pytest.mark.parametrize("count", [6, full(12)])
+def test_the_hand_closes_where_the_object_lies_between_the_pads(
+    robot: Hand, count: int
+) -> None:
     """When the hand closes, the palm is off its aim by less than the dead zone in most tries."""
     off = []
-    for seed in range(20, 32):
+    person = Person(robot)
+    for seed in range(20, 20 + count):
         world = World(robot, np.zeros(3), is_sticky=False)
-        person = Person(robot)
         person.reset(seed)
         while person.phase is not Phase.CLOSE and world.time < 12.0:
             hand = person.see(world.scene())

@@ -93,15 +93,7 @@ def test_other_seeds_are_other_places(allegro: PickTask) -> None:
     assert np.array_equal(places[0], places[2])
 
 
-def test_own_hand_picks(own: tuple[PickTask, Person]) -> None:
-    """Without a mapping, the person's own hand picks a golf ball and a foam brick."""
-    task, person = own
-    for name in ("golf ball", "foam brick"):
-        assert play(task, person, Unmapped(), list(HOUSEHOLD).index(name))
-        assert person.tries >= 1
-
-
-@pytest.mark.parametrize("count", [6, full(24)])
+@pytest.mark.parametrize("count", [4, full(24)])
 def test_own_hand_begins_and_wins(own: tuple[PickTask, Person], count: int) -> None:
     """The person with the own hand closes it on every object, and wins at least 95 % of picks.
 
@@ -110,7 +102,7 @@ def test_own_hand_begins_and_wins(own: tuple[PickTask, Person], count: int) -> N
     task, person = own
     wins = 0
     for seed in range(6100, 6100 + count):
-        wins += attempt(task, person, Unmapped(), seed).is_success
+        wins += play(task, person, Unmapped(), seed)
         assert person.tries >= 1
     assert wins >= 0.95 * count
 

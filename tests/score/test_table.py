@@ -26,7 +26,7 @@ from handmap_score.tasks.table import CAMERA, TableTask
 from handmap_score.tasks.task import Record, Scene
 from handmap_score.tasks.turning import TURNED, CapTask
 from handmap_score.tasks.two_hands import TwoHands
-from marks import rotated
+from marks import crossed, rotated
 
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.errors import HandError
@@ -36,6 +36,12 @@ from handmap_qp.se3 import inverse_pose, rotation_from_rpy, transform_points
 # Whole attempts in MuJoCo: not for the fast suite.
 pytestmark = pytest.mark.slow
 TASKS = ("lift", "button", "cap", "pour", "peg", "hand-over")
+WAYS = (
+    (OWN, UNMAPPED, True),
+    (OWN, OPEN, False),
+    ("allegro_right", STRAIGHT, False),
+)
+"""Hand, mapping, and whether the person wins with them."""
 NO_LANDMARKS = np.zeros((21, 3))
 
 
@@ -74,23 +80,22 @@ def test_everything_rests_at_the_beginning(name: str) -> None:
         assert not after.signals.is_reached
 
 
-@pytest.mark.parametrize("name", rotated(TASKS, 3))
-def test_own_hand_wins_and_straight_fingers_do_not(name: str) -> None:
+# Tests of an egg and of a bar that is handed over make the attempts of two more tasks.
+@pytest.mark.parametrize(("name", "way"), crossed(TASKS, WAYS, every=6, start=3))
+def test_own_hand_wins_and_straight_fingers_do_not(
+    name: str, way: tuple[str, str, bool]
+) -> None:
     """The person does it with the own hand; both judges agree; a robot's straight ones do not."""
+    hand, method, is_won = way
     entry = CATALOGUE[name]
-    for hand, method, is_won in (
-        (OWN, UNMAPPED, True),
-        (OWN, OPEN, False),
-        ("allegro_right", STRAIGHT, False),
-    ):
-        task = entry.make(hand, ())
-        person = entry.operators["person"](task.robot)
-        mapping = make_mapping(method, person, task.robot, 0, task.other)
-        done = attempt(task, person, mapping, 1)
-        assert done.is_success == is_won
-        assert done.record is not None
-        assert entry.recount()(done.record) == is_won
-        assert bool(done.cause) != is_won
+    task = entry.make(hand, ())
+    person = entry.operators["person"](task.robot)
+    mapping = make_mapping(method, person, task.robot, 0, task.other)
+    done = attempt(task, person, mapping, 1)
+    assert done.is_success == is_won
+    assert done.record is not None
+    assert entry.recount()(done.record) == is_won
+    assert bool(done.cause) != is_won
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -132,7 +137,7 @@ def test_robots_meet_the_same_furniture() -> None:
         assert np.array_equal(places[0], places[1])
 
 
-@pytest.mark.parametrize("name", sorted(STRENGTH))
+@pytest.mark.parametrize("name", rotated(sorted(STRENGTH), 2))
 def test_an_egg_breaks_above_its_force(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
