@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -119,7 +120,8 @@ def test_the_gauges_tell_the_hands_apart() -> None:
 
 
 def test_options_clutch_and_comparison_move_the_whole_robot(server: Any) -> None:
-    replay = View().replay(DEMO, "g1")
+    replay = copy(replay_of_demo())
+    replay.switches = {}
     viewer = ReplayViewer(server, replay)
     viewer.play_bar.toggle()
     before = replay.variant.samples[-1].robot_q
