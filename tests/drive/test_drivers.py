@@ -18,8 +18,8 @@ from handmap_drive.ability import FLAG, STATE, Ability, stuffed, unstuffed
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.inspire import Inspire
 from handmap_drive.motors import read_motors
-from handmap_drive.processes import Emulator
 from handmap_drive.servos import FAMILIES, Servos
+from motor_threads import START, MotorThread
 from patience import wait_until
 
 from handmap_qp import load_hand
@@ -34,7 +34,6 @@ IMPATIENT = 0.05
 """Likewise in tests in which messages get lost: about that of the drivers themselves [s]."""
 JOINTS = tuple(map(str, range(16)))
 """Joints of the LEAP hand, as its URDF names them."""
-START = 0.3
 UNIT = 2.0 * np.pi / 4096
 """Resolution of the emulated motors [rad]; encoders are not coarser."""
 
@@ -118,18 +117,18 @@ def table(folder: Path, kind: str, **changes: object) -> Path:
 @contextmanager
 def two(
     folder: Path, kind: str, patience: float = PATIENCE
-) -> Iterator[tuple[Emulator, Any]]:
+) -> Iterator[tuple[MotorThread, Any]]:
     """Emulate motors, and connect to two of them."""
     file = table(folder, kind, patience=patience)
     with (
-        Emulator(kind, "--ids", "0-1") as emulator,
+        MotorThread(kind) as emulator,
         connected(emulator, file, kind) as motors,
     ):
         yield emulator, motors
 
 
 @contextmanager
-def connected(emulator: Emulator, file: Path, kind: str) -> Iterator[Any]:
+def connected(emulator: MotorThread, file: Path, kind: str) -> Iterator[Any]:
     """Connect to two motors; where a driver is impatient, a busy machine may be late."""
     with made(emulator, file, kind) as motors:
         wait_until(lambda: is_connected(motors))
@@ -137,7 +136,7 @@ def connected(emulator: Emulator, file: Path, kind: str) -> Iterator[Any]:
 
 
 @contextmanager
-def made(emulator: Emulator, file: Path, kind: str) -> Iterator[Any]:
+def made(emulator: MotorThread, file: Path, kind: str) -> Iterator[Any]:
     """Make a driver of two motors, which is not connected yet."""
     motors = KINDS[kind].driver("", emulator.port, ("x", "b", "a"), file)
     try:
@@ -168,7 +167,7 @@ def test_a_driver_that_missed_an_answer_connects_again(
     kind: str, tmp_path: Path
 ) -> None:
     file = table(tmp_path, kind, patience=IMPATIENT)
-    with Emulator(kind, "--ids", "0-1") as emulator, made(emulator, file, kind) as own:
+    with MotorThread(kind) as emulator, made(emulator, file, kind) as own:
         emulator.order(silent=[1])
         assert not is_connected(own)
         emulator.order(silent=[])
@@ -205,7 +204,9 @@ def arrive(motors: Any, q: np.ndarray, effort: float) -> None:
     follow(motors, q, effort, lambda: np.allclose(seen(motors)[0], q, atol=2.0 * UNIT))
 
 
-def get_torque(emulator: Emulator, motors: Any, q: np.ndarray, effort: float) -> None:
+def get_torque(
+    emulator: MotorThread, motors: Any, q: np.ndarray, effort: float
+) -> None:
     """Write goals until both motors have torque, and the driver has seen it."""
     follow(
         motors,
@@ -215,7 +216,7 @@ def get_torque(emulator: Emulator, motors: Any, q: np.ndarray, effort: float) ->
     )
 
 
-def pushing(emulator: Emulator, **orders: Any) -> list[bool]:
+def pushing(emulator: MotorThread, **orders: Any) -> list[bool]:
     """Return which of the two motors can have a torque."""
     return emulator.order(**orders)["torque"][:2].tolist()
 
@@ -460,7 +461,7 @@ def test_what_an_inspire_hand_refuses_is_an_error(tmp_path: Path) -> None:
     # That hand has forces up to 1000.
     file = table(tmp_path, "inspire", full=3000)
     with (
-        Emulator("inspire") as emulator,
+        MotorThread("inspire") as emulator,
         connected(emulator, file, "inspire") as motors,
     ):
         with pytest.raises(DriverError, match=r"register 1498: refused, code 3"):
@@ -535,7 +536,7 @@ def test_motors_that_do_not_answer_and_a_missing_port_are_named(
 ) -> None:
     is_servo = KINDS[kind].driver is Servos
     text = r"^motor 1: .*no status packet" if is_servo else "no answer|not answer"
-    with Emulator(kind, "--ids", "0-1") as emulator:
+    with MotorThread(kind) as emulator:
         emulator.order(silent=[1])
         file = table(tmp_path, kind, patience=1.0)
         with (
@@ -637,7 +638,7 @@ def test_servos_get_their_set_up_again(tmp_path: Path) -> None:
     file = table(tmp_path, "dynamixel", setup=setup)
     here = np.array([0.5, 0.3])
     with (
-        Emulator("dynamixel", "--ids", "0-1") as emulator,
+        MotorThread("dynamixel") as emulator,
         connected(emulator, file, "dynamixel") as motors,
     ):
         get_torque(emulator, motors, here, 0.2)
@@ -660,7 +661,7 @@ def test_a_hand_that_does_not_tell_its_speed_is_driven_with_a_warning(
     file = table(tmp_path, "inspire")
     mark = Mock(return_value=np.array([1000, 1000]))
     with (
-        Emulator("inspire") as emulator,
+        MotorThread("inspire") as emulator,
         patch.object(Inspire, "_get", mark),
         connected(emulator, file, "inspire") as motors,
     ):
@@ -775,7 +776,7 @@ def test_the_table_of_the_leap_hand_is_of_both_models(prefix: str) -> None:
     ]
     thumb = ["th_cmc", "th_axl", "th_mcp", "th_ipl"]
     joints = tuple(fingers + thumb) if prefix else JOINTS
-    with Emulator("dynamixel") as emulator:
+    with MotorThread("dynamixel", 16) as emulator:
         servos = DRIVERS["leap"](emulator.port, joints, None)
         wait_until(lambda: is_connected(servos))
         q, _, _ = seen(servos)
@@ -847,7 +848,7 @@ def test_the_lines_of_a_page_find_the_motors(
     text = (Path(__file__).parents[2] / f"docs/motors/{page}.md").read_text()
     _, _, rest = text.partition("```python\n")
     lines, _, _ = rest.partition("```")
-    with Emulator(page) as emulator:
+    with MotorThread(page, 16) as emulator:
         try:
             exec(lines.replace("/dev/ttyUSB0", emulator.port), names := {})
         except HandmapError as error:

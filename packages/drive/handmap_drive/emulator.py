@@ -40,8 +40,9 @@ import sys
 import time
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from pymodbus.framer import FramerRTU, FramerSocket
@@ -100,6 +101,7 @@ class Loopback:
             return b""
         data = self.open.recv(65536)
         if not data:
+            self.open.close()
             self.open = self.server
         return data
 
@@ -115,15 +117,19 @@ class Bus:
         kind: One of `KINDS`.
         numbers: Numbers of the motors; those of a hand are its own.
         angle: Where they are at the start [rad].
+        is_logging: Whether to remember all states.
     """
 
-    def __init__(self, kind: str, numbers: range, angle: float) -> None:
+    def __init__(
+        self, kind: str, numbers: range, angle: float, *, is_logging: bool = False
+    ) -> None:
         self.motors = KINDS[kind](numbers, angle)
         self.line = Loopback() if kind.endswith("-tcp") else Terminal()
         self.loss = self.damage = self.latency = 0.0
         self.buffer = bytearray()
         self.random = random.Random(0)
         self.then = time.monotonic()
+        self.is_logging = is_logging
         self.log: list[dict[str, Any]] = []
 
     def advance(self) -> None:
@@ -132,7 +138,8 @@ class Bus:
         while now - self.then > STEP:
             self.then += STEP
             self.motors.move(STEP, self.then)
-            self.log.append(self.state)
+            if self.is_logging:
+                self.log.append(self.state)
 
     def receive(self) -> None:
         """Read what has been written to the port, and answer."""
@@ -182,6 +189,28 @@ class Bus:
         np.savez(file, **log)
 
 
+def emulate(bus: Bus, orders: TextIO, answers: TextIO) -> None:
+    """Let motors act until the orders end.
+
+    Args:
+        bus: The motors.
+        orders: Lines of orders.
+        answers: Where the state after each of them is written to.
+    """
+    while True:
+        watched = [orders, *([bus.line.fd] if bus.line.fd >= 0 else [])]
+        ready, _, _ = select.select(watched, [], [], STEP)
+        bus.advance()
+        if bus.line.fd in ready:
+            bus.receive()
+        if orders in ready:
+            if not (line := orders.readline()):
+                return
+            bus.change(json.loads(line))
+            state = json.dumps(bus.state, default=np.ndarray.tolist)
+            print(state, file=answers, flush=True)
+
+
 def main() -> None:
     """Emulate until SIGTERM or the end of stdin."""
     parser = argparse.ArgumentParser(description="Emulated motors.")
@@ -191,23 +220,12 @@ def main() -> None:
     parser.add_argument("--log", help="file (.npz) to write at the end")
     given = parser.parse_args()
     first, last = map(int, given.ids.split("-"))
-    bus = Bus(given.kind, range(first, last + 1), given.angle)
+    numbers = range(first, last + 1)
+    bus = Bus(given.kind, numbers, given.angle, is_logging=bool(given.log))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     print(json.dumps({"port": bus.line.port}), flush=True)
-    try:
-        while True:
-            watched = [sys.stdin, *([bus.line.fd] if bus.line.fd >= 0 else [])]
-            ready, _, _ = select.select(watched, [], [], STEP)
-            bus.advance()
-            if bus.line.fd in ready:
-                bus.receive()
-            if sys.stdin in ready:
-                if not (line := sys.stdin.readline()):
-                    break
-                bus.change(json.loads(line))
-                print(json.dumps(bus.state, default=np.ndarray.tolist), flush=True)
-    except KeyboardInterrupt:
-        pass
+    with suppress(KeyboardInterrupt):
+        emulate(bus, sys.stdin, sys.stdout)
     if given.log:
         bus.save(given.log)
 
