@@ -42,7 +42,8 @@ LAYOUT = load_layout("webxr25")
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     token = token_file(tmp_path_factory.mktemp("token"), TOKEN)
-    with serving(**WEB, web_token_file=token) as server:
+    # The emulated headset has a clock of its own.
+    with serving(**WEB, web_token_file=token, simulated_time=True) as server:
         yield server
 
 
