@@ -18,6 +18,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from handmap_drive.driver import DriverError
+from marks import crossed
 
 for module in ("dynamixel_sdk", "scservo_sdk", "pymodbus"):
     pytest.importorskip(module, reason="needs packages/drive and what it installs")
@@ -358,8 +359,9 @@ def judge(session: Session) -> None:
         before = event
 
 
-@pytest.mark.parametrize("boot", [0.0, 0.02, 0.1, 0.3])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "boot"), crossed(list(KINDS), [0.0, 0.02, 0.1, 0.3], every=2)
+)
 def test_a_motor_that_is_reset_is_a_stop_and_an_approach(
     kind: str, boot: float, tmp_path: Path
 ) -> None:
@@ -403,8 +405,7 @@ def afflict(session: Session, random: Random, least: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "seed"), crossed(list(KINDS), range(5), every=3))
 def test_random_faults_keep_the_promises(kind: str, seed: int, tmp_path: Path) -> None:
     random = Random(seed)
     with wired(kind, tmp_path, seed) as (wire, driver):

@@ -22,6 +22,7 @@ from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
 from handmap_drive.gate import APPROACH, Gate
 from handmap_drive.joint_map import Direct
+from handmap_drive.joints import free_groups, free_spans, measure_joints
 from handmap_drive.motion import Log, Motion
 from handmap_drive.pinches import plan_pinches
 from handmap_drive.ritual import find_tuning
@@ -49,6 +50,8 @@ from handmap_qp.hands import Names
 
 HAND = "allegro_right"
 RATE = 100.0
+STRONGEST = 0.4
+"""The largest torque of a joint of a heavy hand [N m]."""
 
 
 def simulated(seed: int = 3) -> Simulated:
@@ -152,27 +155,49 @@ def test_weights_of_links_are_the_slopes_of_their_height() -> None:
     np.testing.assert_allclose(space.weights(q[None])[0], slopes, atol=1e-8)
 
 
-def test_the_play_of_a_hand_with_heavy_links_is_found() -> None:
+def heavy(hand: Hand) -> tuple[Simulated, Space]:
+    """Return a simulated hand whose links have weights, and its space."""
     motors = simulated()
-    hand = load_hand(HAND, mount="fixed")
     space = Space(hand, motors)
-    strongest = 0.4
 
     def load() -> np.ndarray:
-        return space.weights(motors.q[None])[0] / strongest
+        return space.weights(motors.q[None])[0] / STRONGEST
 
     motors.load = load
     # More than friction, so that it would be taken for a stop.
     assert (np.abs(load()) > motors.friction + 0.02).any()
-    tuning = find_tuning(motion_of(motors), hand)
+    return motors, space
+
+
+def check_heavy(motors: Simulated, space: Space, tuning: Tuning) -> None:
+    """Assert that play and weights of a heavy hand were found."""
     found = tuning.arrays(motors.joint_names)
     for name, floor in {"gain": 0.0, "zero": 5e-3, "backlash": 5e-3}.items():
         true = getattr(motors, name)
         error = np.abs(getattr(found, name) - true)
         assert (error <= np.maximum(0.1 * true, floor)).mean() > 0.9, name
-    np.testing.assert_allclose(np.median(found.weight), 1.0 / strongest, rtol=0.1)
+    np.testing.assert_allclose(np.median(found.weight), 1.0 / STRONGEST, rtol=0.1)
+    assert not found.meet(motors.load(), space.weights(motors.q[None])[0]).any()
+
+
+def test_the_play_of_a_hand_with_heavy_links_is_found() -> None:
+    motors, space = heavy(load_hand(HAND, mount="fixed"))
+    motion = motion_of(motors)
+    motion.start()
+    spans = free_spans(space)
+    groups = free_groups(space, spans)
+    joints = measure_joints(motion, space, spans, groups, lambda *_: None)
+    check_heavy(motors, space, Tuning.of(motors.joint_names, joints, {}))
+
+
+@pytest.mark.full
+def test_tips_of_a_hand_with_heavy_links_meet() -> None:
+    """The suite measures the joints of a heavy hand, and lets tips of a light one meet."""
+    hand = load_hand(HAND, mount="fixed")
+    motors, space = heavy(hand)
+    tuning = find_tuning(motion_of(motors), hand)
+    check_heavy(motors, space, tuning)
     assert len(tuning.pinches) == 3
-    assert not found.meet(load(), space.weights(motors.q[None])[0]).any()
 
 
 def test_all_parameters_of_a_hand_are_found(
