@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 import pytest
 from live_cases import moving_hand
+from marks import full
 from service_tools import CACHE, PERIOD, Sampler, human_q, opening
 
 from handmap_core.human.recording import Recording, sample_columns
@@ -115,7 +116,7 @@ def test_an_answer_takes_few_calls(robot: str, preset: str | None, kind: str) ->
     assert tick.total() <= MOST_CALLS_OF_A_TICK, tick.most_common()
 
 
-@pytest.mark.parametrize("robot", ["g1", "alex"])
+@pytest.mark.parametrize("robot", ["g1", full("alex")])
 def test_an_answer_for_two_hands_takes_few_calls(robot: str) -> None:
     sampler = Sampler()
     count = WARM + MEASURED

@@ -138,8 +138,9 @@ def test_a_session_without_a_grip_follows_as_before_whatever_is_measured() -> No
     off, plain = session_of(grip=False), session_of()
     sampler, other = Sampler(), Sampler()
     commands = list(pick(off, sampler))
+    hands = made_pick("right").landmarks
     for i, command in enumerate(commands):
-        landmarks = rows(made_pick("right").landmarks[i])
+        landmarks = rows(hands[i])
         # Without measured joints, nothing is met.
         same = plain.step(other(PERIOD * i, landmarks=landmarks), PERIOD * i)
         assert command.effort == same.effort == ()

@@ -15,6 +15,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 import zmq
+from marks import crossed
 from service_tools import CACHE, Sampler, opening, streamed
 
 from handmap_qp.apps.service import sessions as sessions_module
@@ -134,8 +135,9 @@ def record(name: str, owner: str = "", stop: int = 0) -> Record:
 # Emergency stops
 
 
-@pytest.mark.parametrize("has_file", [True, False])
-@pytest.mark.parametrize("stranger", [BOB, HEADSET, ALICE])
+@pytest.mark.parametrize(
+    ("has_file", "stranger"), crossed([True, False], [BOB, HEADSET, ALICE], every=2)
+)
 def test_a_stop_outlives_any_number_of_other_sessions(
     tmp_path: Path, has_file: bool, stranger: Caller
 ) -> None:

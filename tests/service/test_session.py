@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import rotated
 from service_tools import (
     CACHE,
     HERE,
@@ -54,17 +55,20 @@ def changes_for(choices: dict[str, Any], phase: float) -> Configure:
 
 @pytest.mark.parametrize(
     "choices",
-    [
-        {},
-        {"ik": {"has_velocity_limits": False}},
-        {"return_after": 0.1, "resume": "clutch"},
-        {"preset": "teleoperation"},
-        {
-            "preset": "teleoperation",
-            "ik": {"has_velocity_limits": False},
-            "return_after": 0.1,
-        },
-    ],
+    rotated(
+        [
+            {},
+            {"ik": {"has_velocity_limits": False}},
+            {"return_after": 0.1, "resume": "clutch"},
+            {"preset": "teleoperation"},
+            {
+                "preset": "teleoperation",
+                "ik": {"has_velocity_limits": False},
+                "return_after": 0.1,
+            },
+        ],
+        2,
+    ),
     ids=str,
 )
 @given(events=events)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from limit_judge import HUMANS, judge
+from marks import rotated
 from service_tools import (
     CACHE,
     PERIOD,
@@ -85,7 +86,7 @@ def test_a_held_sample_and_the_watchdog_at_one_instant_are_two_commands_in_order
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", rotated(range(6), 2))
 def test_commands_of_a_random_session_keep_the_limits_by_their_stamps(
     seed: int,
 ) -> None:

@@ -21,6 +21,7 @@ import pytest
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import crossed
 from msgspec.msgpack import decode, encode
 from patience import PATIENCE, wait_until
 from service_tools import (
@@ -430,17 +431,17 @@ def test_a_frame_gives_back_what_it_costs_with_its_header_and_encryption(
     assert cost_of(zmq.Frame(bytes(size))) >= size + header + curve + _FRAME
 
 
-@pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])
 @pytest.mark.parametrize(
-    ("number", "size"), [(3, 0), (5000, 0), (10**5, 0), (10**4, 10**4)]
+    ("has_keys", "message"),
+    crossed([False, True], [(3, 0), (5000, 0), (10**5, 0), (10**4, 10**4)], every=2),
 )
 def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     has_keys: bool,
-    number: int,
-    size: int,
+    message: tuple[int, int],
 ) -> None:
+    number, size = message
     keys = None
     if has_keys:
         make_keys(tmp_path, ["a"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ _LIFT, _LIFTING, _RESTING = 0.1, 1.0, 0.4
 _POSTURES = {gesture.name: np.ravel(gesture.fingers) for gesture in GESTURES}
 
 
+@cache
 def made_pick(
     side: Side = "right",
     *,
@@ -54,7 +56,7 @@ def made_pick(
         seed: Seed of the tracker's noise, 0.3 mm of each landmark.
 
     Returns:
-        The recording.
+        The recording, the same one each time; its arrays cannot be written to.
     """
     lengths = HumanLengths.from_hand_length(hand_length)
     human = load_hand(human_name(side), points="landmarks", lengths=lengths)
@@ -70,6 +72,8 @@ def made_pick(
         landmarks[i] = human.points(start + share * (end - start), pose)
     landmarks += random.normal(0.0, 3e-4, landmarks.shape)
     valid = np.ones(len(time), dtype=bool)
+    for array in (time, landmarks, valid):
+        array.flags.writeable = False
     return Recording("made", time, landmarks, valid, side)
 
 
