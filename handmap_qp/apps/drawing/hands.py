@@ -124,7 +124,6 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
     Args:
         mesh: A `trimesh.Trimesh` [m].
         colour: Red, green and blue in 0..1.
-
     """
     faces = mesh.faces
     count = len(faces)
