@@ -329,7 +329,7 @@ class Finger:
             tree = None
 
         def distances(positions: Array) -> Array:
-            """Return the distance at each of T positions, shape (T, k)."""
+            """Return the distance at each of T positions (T, k), shape (T,)."""
             postures = np.tile(self._zero, (len(positions), 1))
             postures[:, moving] = positions
             if tree:

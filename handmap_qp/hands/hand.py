@@ -401,16 +401,16 @@ class Hand:
         """Compose Pinocchio's configuration vectors of many postures, shape (T, model.nq).
 
         Args:
-            q: Joint angles of `joint_names` [rad or m], a row a posture, shape (T, n); limits are
-                not checked. The wrist frame is at the origin.
+            q: Joint angles of `joint_names` [rad or m], a row a posture, shape (T, n), or of one
+                posture, (n,); limits are not checked. The wrist frame is at the origin.
 
         Raises:
             InvalidInputError: On a wrong shape, or anything but finite numbers.
         """
-        vectors = np.tile(
-            self.configuration_vector(self.zero), (len(np.atleast_2d(q)), 1)
-        )
-        vectors[:, self._moving_q] = self.all_joints(q)[..., : len(self._moving_q)]
+        positions = np.atleast_2d(self.all_joints(q))
+        still = self.configuration_vector(self.zero)
+        vectors = np.tile(still, (len(positions), 1))
+        vectors[:, self._moving_q] = positions[:, : len(self._moving_q)]
         return vectors
 
     def all_joints(self, q: ArrayLike) -> Array:

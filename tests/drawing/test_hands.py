@@ -7,7 +7,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from handmap_qp.apps.drawing.hands import draw_hands, load_shape, spheres, tube
+from handmap_qp.apps.drawing.hands import (
+    _SMOOTH_ANGLE,
+    draw_hands,
+    load_shape,
+    solid,
+    spheres,
+    tube,
+)
 from handmap_qp.apps.drawing.raster import (
     Camera,
     Triangles,
@@ -21,7 +28,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import HandSpec, PalmSpec, PointSpec, WristSpec
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points, unit
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -405,3 +412,19 @@ def test_of_two_faces_in_one_plane_the_last_one_is_seen() -> None:
     inside = picture[picture[..., 3] > 0.99]
     assert len(inside) > 1000
     assert (inside[:, 0] > inside[:, 1]).all()
+
+
+def test_normals_are_smooth_but_at_edges() -> None:
+    """They are those of trimesh, which cuts the mesh into its smooth surfaces."""
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.creation.cylinder(0.01, 0.03, sections=16)
+    cut = trimesh.graph.smooth_shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
+    ours = solid(mesh, RED)
+
+    def corners(triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        rows = np.concatenate([triangles, normals], axis=2).reshape(-1, 6)
+        return rows[np.lexsort(np.round(rows, 9).T)]
+
+    found = corners(ours.vertices, ours.normals)
+    expected = corners(cut.triangles, unit(cut.vertex_normals[cut.faces]))
+    np.testing.assert_allclose(found, expected, atol=1e-9)

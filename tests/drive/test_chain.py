@@ -104,7 +104,8 @@ HANDS = {
 }
 """Driver, and what a table of these motors has, by kind.
 
-Tests of drivers and of resets meet each kind with each fault; here the suite meets each kind once.
+Tests of drivers and of resets meet each kind with resets and lost ports. Here the suite meets each
+kind once, and with `--full` each with each fault.
 """
 
 

@@ -369,5 +369,8 @@ def test_vectors_of_many_postures_are_those_of_each(name: str) -> None:
     np.testing.assert_allclose(
         hand.configuration_vectors(q), expected, rtol=0.0, atol=1e-15
     )
-    with pytest.raises(InvalidInputError, match="q"):
-        hand.configuration_vectors(q[:, :-1])
+    one = hand.configuration_vectors(q[0])
+    np.testing.assert_allclose(one, expected[:1], rtol=0.0, atol=1e-15)
+    for wrong in (q[:, :-1], [q[0].tolist(), [1.0]], np.full_like(q, np.nan)):
+        with pytest.raises(InvalidInputError, match="q"):
+            hand.configuration_vectors(wrong)

@@ -54,7 +54,7 @@ def test_every_hand_is_driven(
 
 @pytest.mark.slow
 def test_limits_hold_and_answers_are_numbers(hostile: ModuleType) -> None:
-    # All hands, free and held, by the inverse kinematics and the mapping: 20 runs of each kind.
+    # 20 hands, free and held, by the inverse kinematics and the mapping each.
     # Warnings count as exceptions here.
     (*_, tally) = hostile.drive(hostile.hostile_runs(), 3200, steps_per_run=80)
     assert tally.steps == 3200

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from live_cases import moving_hand
+from msgspec import structs
 from patience import wait_until
 from service_tools import (
     WEB,
@@ -23,6 +24,7 @@ from service_tools import (
     token_file,
 )
 
+from handmap_core.client.messages import Open
 from handmap_core.human.recording import sample_columns
 from handmap_qp import hand_names
 from handmap_qp.apps.live.service import ServiceSource
@@ -189,6 +191,28 @@ def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#right .state", "held until Engage")
     click(browser, "#end")
     wait_until(lambda: "webxr-both" not in sessions(server))
+
+
+def test_a_page_asks_for_the_services_clock(tmp_path: Path) -> None:
+    """As on a headset: the other tests of this page have the clock of a simulation."""
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium; HANDMAP_CHROMIUM names one")
+    plain = EMULATION + "\nWebSocket.prototype.send = send;\n"
+    with (
+        serving(**WEB, web_token_file=token_file(tmp_path, TOKEN)) as server,
+        Browser(program, size=(1100, 1000)) as browser,
+    ):
+        browser.call("Page.addScriptToEvaluateOnNewDocument", source=plain)
+        start(browser, server)
+        show_hands(browser, "right")
+        browser.wait_for(
+            "parseInt(document.querySelector('#right .sent').textContent) > 0"
+        )
+        request = sessions(server)["webxr-right"].request
+        usual = {field.name: field.default for field in structs.fields(Open)}
+        assert request.time_from == usual["time_from"]
+        assert request.watchdog == usual["watchdog"]
 
 
 def test_hands_move_the_robots(browser: Browser, server: Server) -> None:

@@ -13,7 +13,7 @@ const send = WebSocket.prototype.send;
 WebSocket.prototype.send = function sendSimulated(text) {
   const request = JSON.parse(text);
   const more = request.type === "open" ? SIMULATION : {};
-  send.call(this, JSON.stringify({ ...request, ...more }));
+  send.call(this, JSON.stringify({ ...more, ...request }));
 };
 window.emulated = { hands: {}, rate: 72, isSupported: true, hasHands: true, frames: 0, requests: [] };
 

@@ -57,7 +57,7 @@ def inside(hand: Hand, q: np.ndarray) -> np.ndarray:
 
 @cache
 def recorded(file: Path) -> HumanMotion:
-    """Return how every third sample is fitted, which takes most of the time."""
+    """Fit every third sample; fitting takes most of the time."""
     return fit_recording(read_recording(file).part(slice(None, None, 3)))
 
 

@@ -145,6 +145,7 @@ class MeasuredPairs(CollisionLimit):
     def nearest(self, q: Array) -> float:
         """Return the smallest signed distance of all pairs at a configuration, shape (nq,) [m]."""
         least = self._least(self._place(q))
+        assert len(least), "a hand without pairs of shapes"
         nearest = np.inf
         # Most pairs are farther apart than the nearest one whatever their shapes are.
         for k in np.argsort(least).tolist():

@@ -95,7 +95,7 @@ def test_other_seeds_are_other_places(allegro: PickTask) -> None:
 
 @pytest.mark.parametrize("count", [4, full(24)])
 def test_own_hand_begins_and_wins(own: tuple[PickTask, Person], count: int) -> None:
-    """The person with the own hand closes it on every object, and wins at least 95 % of picks.
+    """The person with the own hand wins at least 95 % of picks, on every object with `--full`.
 
     Otherwise the person, and not a mapping, would decide what is lost.
     """

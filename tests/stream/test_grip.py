@@ -26,7 +26,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human import tip_gaps
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.se3 import transform_points, unit
+from handmap_qp.se3 import frozen, transform_points, unit
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grasp import can_grip, has_grasp
 from handmap_qp.stream.grip import GripFollower
@@ -372,7 +372,7 @@ def pads_middle(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
 def meeting(allegro: Hand) -> np.ndarray:
     """Return where the pads meet with nothing between them [m], shape (3,)."""
     closed = [step for step, _ in run(grip_follower(allegro), width=-1.0)][75].command
-    return pads_middle(allegro, closed.q, closed.wrist)
+    return frozen(pads_middle(allegro, closed.q, closed.wrist))
 
 
 def closings(allegro: Hand, away: np.ndarray) -> tuple[list[MapStep], np.ndarray]:

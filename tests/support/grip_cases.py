@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -115,12 +116,14 @@ class BlockedHands:
 
 
 @lru_cache
-def both_hands(opens: bool = False) -> list[dict[Side, HumanSample]]:
+def both_hands(opens: bool = False) -> Sequence[Mapping[Side, HumanSample]]:
     """A pick by both hands at once."""
     sides: tuple[Side, ...] = "left", "right"
     landmarks = {side: made_pick(side).landmarks for side in sides}
     order = [*range(110)] + [*range(109, -1, -1)] * opens
-    return [
-        {side: HumanSample(k / 60.0, side, landmarks[side][i]) for side in sides}
+    return tuple(
+        MappingProxyType(
+            {side: HumanSample(k / 60.0, side, landmarks[side][i]) for side in sides}
+        )
         for k, i in enumerate(order)
-    ]
+    )

@@ -32,7 +32,15 @@ class MotorThread:
         self._orders, self._answers = os.fdopen(taken[1], "w"), os.fdopen(given[0])
         ends = os.fdopen(taken[0]), os.fdopen(given[1], "w")
         self._ends = ends
-        self._thread = threading.Thread(target=emulate, args=(self._bus, *ends))
+
+        def act() -> None:
+            try:
+                emulate(self._bus, *ends)
+            finally:
+                # Who waits for an answer sees that there is none.
+                ends[1].close()
+
+        self._thread = threading.Thread(target=act)
 
     def __enter__(self) -> MotorThread:
         """Let the motors act."""

@@ -183,8 +183,8 @@ class Ik : public Gate {
   // Something else moves the hand.
   void stop_detours() { detours.assign(tree.parts.size(), {}); }
 
-  // What the cost of a sample pulls to: the rest posture; where the hand is, as the whole displacement
-  // costs; and where its velocity leads, as the difference from the last one does.
+  // What the cost of a sample pulls to: the rest posture; where the hand is, because displacement costs;
+  // and where it would go on to, because a change of displacement costs.
   std::vector<Posture> postures(const Vector& rest, double dt) const {
     std::vector<Posture> found{{settings.rest_weight, rest}};
     if (settings.speed_weight == 0.0 && settings.acceleration_weight == 0.0) return found;

@@ -132,7 +132,7 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
     pairs = mesh.face_adjacency[mesh.face_adjacency_angles < _SMOOTH_ANGLE]
     meets = coo_array((np.ones(len(pairs)), pairs.T), (count, count))
     _, surface = connected_components(meets, directed=False)
-    keys = surface[:, None] * len(mesh.vertices) + faces
+    keys = surface.astype(np.int64)[:, None] * len(mesh.vertices) + faces
     _, owner = np.unique(keys.ravel(), return_inverse=True)
     # Faces count by their angle at the vertex.
     parts = mesh.face_angles[..., None] * mesh.face_normals[:, None]

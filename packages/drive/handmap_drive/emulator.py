@@ -160,7 +160,7 @@ class Bus:
         os.write(self.line.fd, answer)
 
     def change(self, orders: dict[str, Any]) -> None:
-        """Carry out a line of stdin."""
+        """Carry out a line of orders."""
         motors = self.motors
         for name, order in orders.items():
             match name:
