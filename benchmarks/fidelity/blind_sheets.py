@@ -63,8 +63,9 @@ def draw(folder: Path, robots: list[str], seed: int) -> None:
             str(i): [poses[order[i]].name, *(METHODS[j] for j in places[i])]
             for i in range(len(order))
         }
+        # After each robot: a later one may not be installed.
+        (folder / "key.json").write_text(json.dumps(key, indent=1), encoding="utf-8")
         print(f"{name}: {len(rows)} gestures", file=sys.stderr)
-    (folder / "key.json").write_text(json.dumps(key, indent=1), encoding="utf-8")
 
 
 def score(folder: Path, answers: Path) -> None:

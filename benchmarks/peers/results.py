@@ -303,7 +303,8 @@ def peer_robot(robot: Hand) -> str:
 
 def peer_joint(robot: Hand, name: str) -> str:
     """Return the peers' name of a joint of a robot hand of ours."""
-    if robot.name in ("leap_left", "leap_right"):
+    # Descriptions of others have the peers' names already.
+    if robot.name in ("leap_left", "leap_right") and "_" in name:
         finger, _, joint = name.partition("_")
         return _LEAP_JOINTS[finger][joint]
     if robot.name == "allegro_left":
