@@ -66,7 +66,7 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 	@echo "Look at the pictures. For the command in this shell:  . $(BIN)/activate"
 	@echo "Then see it move:  handmap view demo --robot three_finger"
 
-test: lint ## Run the checks of `make lint`, then the suite: 5 minutes on two cores
+test: lint ## Run the checks of `make lint`, then the suite: 8 to 15 minutes on two cores
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 full: $(INSTALLED) ## Run all tests: every hand by every preset, and builds of all packages
