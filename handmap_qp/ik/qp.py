@@ -77,7 +77,7 @@ class PointIk(qp.PointIk[CollisionLimit]):
             # Loads Pinocchio's way, and other solvers, where an option asks for them.
             from handmap_qp.reference.inverse_kinematics import ReferenceIk
 
-            self.reference = ReferenceIk(hand, options, self.gate)
+            self.reference = ReferenceIk(hand, self.gate)
 
     @property
     def hand(self) -> Hand:

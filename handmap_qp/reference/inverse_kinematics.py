@@ -39,10 +39,11 @@ class ReferenceIk:
 
     Args:
         hand: The hand.
-        options: Weights and settings; `formulation` says how the cost is posed.
-        gate: The gate of the hand, which owns its motion.
+        gate: Its gate, which owns its motion. Of its options, `formulation` says how
+            the cost is posed.
 
     Attributes:
+        options: Weights and settings.
         configuration: Where the QP is posed.
         solver: Solves it, as `solve_by_daqp` does.
 
@@ -50,17 +51,17 @@ class ReferenceIk:
         InvalidOptionsError: If no such solver is installed.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions, gate: IkGate) -> None:
+    def __init__(self, hand: Hand, gate: IkGate) -> None:
         self.hand = hand
-        self.options = options
         self.gate = gate
+        self.options: IkOptions = gate.options
         self.configuration = hand.configuration()
         self.solver = solve_by_daqp
-        if options.solver != "daqp":
+        if self.options.solver != "daqp":
             # qpsolvers takes a second to import.
             from .solvers import make_solver
 
-            self.solver = make_solver(options.solver)
+            self.solver = make_solver(self.options.solver)
 
     def solve(self, goal: Goal) -> IkResult:
         """Move the hand straight towards the targets of one sample; see `PointIk.solve`."""

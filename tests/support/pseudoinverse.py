@@ -87,9 +87,9 @@ class PseudoinverseIk(PointIk):
             )
         super().__init__(hand, options)
         if limits == "none":
-            self.gate = _NoLimits(hand, self.gate.motion)
+            self.gate = _NoLimits(hand, self.gate.motion, options)
             self.core = self.gate.core
-        self.reference = self._eq_8 = _Eq8(hand, options, self.gate, damping)
+        self.reference = self._eq_8 = _Eq8(hand, self.gate, damping)
 
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration (nq,), at rest, from where `step` steps."""
@@ -106,16 +106,14 @@ class _Eq8(ReferenceIk):
 
     Args:
         hand: The hand.
-        options: Weights and settings.
-        gate: The gate of the hand.
+        gate: Its gate.
         damping: As of `PseudoinverseIk`.
     """
 
-    def __init__(
-        self, hand: Hand, options: IkOptions, gate: IkGate, damping: float
-    ) -> None:
-        super().__init__(hand, options, gate)
+    def __init__(self, hand: Hand, gate: IkGate, damping: float) -> None:
+        super().__init__(hand, gate)
         self._damping = damping
+        options = self.options
         regularisation = np.full(self.configuration.nv, options.damping**2)
         regularisation[hand.joint_columns] += options.rest_weight**2
         self._scale = 1.0 / np.sqrt(regularisation)
