@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_drawing import draw_coarsely
 from comparison_cases import write_closing
 from PIL import Image
 from sheet_cells import cell_of
 
 from handmap_qp import cli
-from handmap_qp.apps.drawing import contact_sheet
 from handmap_qp.apps.drawing.contact_sheet import CELL, FINGER_COLOURS
-from handmap_qp.apps.drawing.raster import render
 from handmap_qp.apps.offline.metrics import METRICS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,8 +43,7 @@ def files(tmp_path: Path) -> list[str]:
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw hands with a sample a pixel: colours and places are the same, in a third of the time."""
-    monkeypatch.setattr(contact_sheet, "render", partial(render, supersampling=1))
+    draw_coarsely(monkeypatch)
 
 
 def picture(file: Path) -> np.ndarray:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from cpp_programs import CORE, compiled, run_counted
+from marks import full
 
 PROGRAM = CORE / "tests" / "properties.cpp"
 
@@ -15,6 +16,6 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(PROGRAM, tmp_path_factory.mktemp("properties"))
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.full)])
+@pytest.mark.parametrize("seed", [1, full(2)])
 def test_parts_of_the_core_have_their_properties(seed: int, program: Path) -> None:
     assert run_counted(program, seed) > 100_000

@@ -1,15 +1,13 @@
 """The demo: the robot's limits and errors, and atomic output of its files."""
 
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from coarse_drawing import draw_coarsely
 
-from handmap_qp.apps.drawing import contact_sheet
-from handmap_qp.apps.drawing.raster import render
 from handmap_qp.apps.offline import demo
 from handmap_qp.apps.offline.demo import FILES, Demo
 from handmap_qp.apps.offline.trajectory import Trajectory
@@ -31,8 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def trajectory(folder: Path) -> Trajectory:
     seen: list[int] = []
     with pytest.MonkeyPatch.context() as patch:
-        # With a sample a pixel: what is drawn, and where, is the same.
-        patch.setattr(contact_sheet, "render", partial(render, supersampling=1))
+        draw_coarsely(patch)
         done = Demo(HAND, folder).write(seen.append)
     # The core maps many samples before it tells.
     assert seen == sorted(seen)

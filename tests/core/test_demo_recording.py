@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import zipfile
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_drawing import draw_coarsely
 from demo_recording import GESTURES, HAND_LENGTH, PICK, write_demo
 
 from handmap_qp import read_recording
-from handmap_qp.apps.drawing import contact_sheet
-from handmap_qp.apps.drawing.raster import render
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.cli import main
@@ -84,8 +82,8 @@ def test_the_first_lines_run_without_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    # With a sample a pixel: the pictures of the demo have tests of their own.
-    monkeypatch.setattr(contact_sheet, "render", partial(render, supersampling=1))
+    # The pictures of the demo have tests of their own.
+    draw_coarsely(monkeypatch)
     assert main(["demo", "--robot", "three_finger"]) == 0
     assert (tmp_path / "demo" / "gestures.png").read_bytes().startswith(b"\x89PNG")
     assert main(["map", "demo", "--robot", "three_finger"]) == 0
