@@ -150,7 +150,7 @@ void bind_samples(nb::module_& m) {
       .def_ro("map", &HandRequest::python_map)
       .def_ro("dt", &HandRequest::dt)
       .def_ro("speed", &HandRequest::speed)
-      .def_prop_ro("rest", [](const HandRequest& request) { return array_of(request.map().rest); })
+      .def_prop_ro("rest", &HandRequest::rest)
       .def_prop_ro("targets", &HandRequest::read_targets);
 }
 

@@ -17,6 +17,11 @@ struct HandRequest {
   void targets(Targets& targets) const {
     map().targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, targets);
   }
+  NumpyArray rest() const {
+    Targets found;
+    targets(found);
+    return array_of(found.rest);
+  }
   nb::object read_targets() const {
     Stages stages;
     stages.reader = reader;
@@ -120,7 +125,7 @@ class RobotMapper {
       Targets& targets = targets_[k];
       requests[k]->targets(targets);
       if (targets.points.size() != ik_->tree.parts[k].end - ik_->tree.parts[k].first ||
-          requests[k]->map().rest.size() != rest_.size())
+          targets.rest.size() != rest_.size())
         throw std::invalid_argument("the map is of another hand");
       Pose world;
       if (!worlds.empty()) {
@@ -134,7 +139,7 @@ class RobotMapper {
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (ik_->tree.fingers[k][i] != 0.0) {
-          wanted_rest_[i] = requests[k]->map().rest[i];
+          wanted_rest_[i] = targets.rest[i];
           if (targets.regularisation) regularisation_[i] = (*targets.regularisation)[i];
         }
       // Others never change.

@@ -121,6 +121,8 @@ class HandPair:
         finger_of: Index of the finger that each robot reference point is of, shape (m,).
         tips: Index of the human reference point at each common fingertip, shape (f,).
         knuckles: The same at the base of each common finger.
+        bones: The same along each common finger but the thumb, from its base to its tip, shape
+            (f - 1, 4), or (f, 4) without a thumb.
         reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
         finger_ratio: Their mean without the thumb's.
         has_jaws: True if the thumb and the other fingers are jaws: only their gap can follow.
@@ -161,6 +163,8 @@ class HandPair:
         points = require_points(human, needed, "this method").reshape(-1, 4)
         self.tips = points[:, 0]
         self.knuckles = points[:, 3]
+        is_other = np.array(self.fingers) != THUMB
+        self.bones = points[is_other, ::-1]
         self.chains = measured.used
         names = point_indices(human)
         human_rest = points_in_palm(human, resting_posture(human))
@@ -420,6 +424,11 @@ class RobotFingers:
             samples=_PINCH_STEPS,
             tolerance=_TOUCHING,
         )
+
+    @property
+    def pinches_by_finger(self) -> dict[str, Array]:
+        """The posture of `pinches` of each finger, by its name, shape (n,) each."""
+        return dict(zip([*self.pads][1:], self.pinches, strict=True))
 
     @cached_property
     def pinching_thumb(self) -> Array:

@@ -45,12 +45,15 @@ class PublishedTeleoperation:
         fit = estimate(self._prepared.method.estimator, shape)
         distances = lengths(now[model.to_points] - now[model.from_points])
         extensions, gaps = np.split(distances, [len(model.human_reach)])
+        extensions = extensions / model.human_reach
         pinching = pinch_shares(model, gaps)
+        aims = row_aims(model, distances)
+        aims[:1] = thumb_aim(model, now, extensions[:1], aims[:1])
         points = pointed(model, moved_points(model, fit, now), now, pinching)
         parts = [
             transform_points(palm, points),
             palm @ self._palm.robot_palm_to_wrist,
-            row_aims(model, distances),
+            aims,
             np.append(model.extension_weights, model.pinch_weight * pinching),
             contact_margins(model, gaps),
             fit.linear,
@@ -59,7 +62,8 @@ class PublishedTeleoperation:
             human_palm,
             gaps,
             pinching,
-            extensions / model.human_reach,
+            extensions,
+            rest_posture(model, gaps),
         ]
         return self._prepared.targets_of(parts)
 
@@ -85,12 +89,53 @@ def row_aims(model: TeleoperationModel, distances: Array) -> Array:
     return np.clip(aims, model.least_aims, model.largest_aims)
 
 
+def thumb_aim(
+    model: TeleoperationModel, now: Array, extension: Array, aim: Array
+) -> Array:
+    """Return the wanted extension of a thumb, as straight as the person's where that is open.
+
+    It is open where its tip is far from all bones of the other fingers.
+
+    Args:
+        model: The method for two hands.
+        now: The human's points in palm axes [m], shape (n_h, 3).
+        extension: The thumb's distance from knuckle to tip over its reach, shape (1,).
+        aim: The distance that is wanted of the robot's otherwise [m], shape (1,).
+    """
+    if len(model.from_points) == len(model.human_reach):
+        # Without pinches, the first finger need not be a thumb.
+        return aim
+    tip = now[model.to_points[0]]
+    starts = now[model.bone_starts]
+    bones = now[model.bone_ends] - starts
+    squares = np.maximum((bones**2).sum(axis=1), np.finfo(float).tiny)
+    shares = np.clip(((tip - starts) * bones).sum(axis=1) / squares, 0.0, 1.0)
+    nearest = lengths(tip - starts - shares[:, None] * bones).min()
+    share = _smooth((nearest - model.open_from) / model.open_over)
+    straight = model.largest_aims[:1] * np.minimum(extension, 1.0)
+    return aim + share * (straight - aim)
+
+
+def rest_posture(model: TeleoperationModel, gaps: Array) -> Array:
+    """Return the posture that the rest term pulls to at gaps of the pinches [m], shape (p,).
+
+    As a pinch closes, the matched posture becomes the one that closes it, shape (n,).
+    """
+    shares = _smooth((model.rest_from - gaps) / model.rest_over)
+    return model.rest + shares @ model.pinch_rests / max(shares.sum(), 1.0)
+
+
 def pinch_shares(model: TeleoperationModel, gaps: Array) -> Array:
     """Return the share of its weight that each pinch row has at a gap [m], shape (p,) both.
 
     It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
     """
-    x = np.clip((model.pinch_from - gaps) / model.pinch_over, 0.0, 1.0)
+    return _smooth((model.pinch_from - gaps) / model.pinch_over)
+
+
+def _smooth(share: Array) -> Array:
+    """Go from 0 at 0 to 1 at 1 with no slope at either end."""
+    x = np.clip(share, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
 
 

@@ -212,7 +212,8 @@ def test_pads_that_are_pressed_on_each_other() -> None:
     recording = read_recording("pinch", "right")
     lengths = measure_person(recording).lengths
     human = scaled_human(recording, points="landmarks", lengths=lengths)
-    mapper = HandMapper(human, ALLEGRO)
+    # Its fingertips are flat: they lie on each other.
+    mapper = HandMapper(human, load_hand("hey5"))
     ik = mapper.point_ik.core
     assert ik is not None
     count = len(recording)
@@ -221,9 +222,9 @@ def test_pads_that_are_pressed_on_each_other() -> None:
         mapper.map_landmarks(landmarks, dt=1 / 60).ik.iterations
         for landmarks in recording.landmarks
     )
-    assert solved <= 1.45 * count
+    assert solved <= 1.9 * count
     # Searches for a way around links take costs too, and count no iterations.
-    assert ik.costs - before < solved
+    assert ik.costs - before < 0.8 * solved
 
 
 def test_a_sample_with_a_grip(

@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mapping_cases import pinched
 from oracles.shape_distances import MeasuredPairs
 
 from handmap_core.ik.motion import Motion
 from handmap_core.ik.tasks import TaskRows
 from handmap_qp import HandMapper, load_hand
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.errors import MissingPackageError
 from handmap_qp.mapping.presets import get_preset
 
 DT = 1.0 / 60.0
@@ -88,13 +91,15 @@ def start_detour(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> None
 
 @pytest.fixture(scope="module")
 def caught() -> tuple[Motion, np.ndarray]:
-    """Return a start from which a hand without detours is caught, and the person's posture."""
-    plain = mapper_of(takes_detours=False)
+    """Return a start from which a hand is caught that would not be by a detour, and a posture."""
+    mapper, plain = mapper_of(), mapper_of(takes_detours=False)
     rest = plain.motion
-    for human_q, _ in zip(human_postures(), range(12), strict=False):
+    for human_q, _ in zip(human_postures(), range(24), strict=False):
         least = max(3.0, end_error(plain, rest, human_q))
         for start in starts(plain, 8):
-            if end_error(plain, start, human_q) > 2.0 * least:
+            if end_error(plain, start, human_q) < 2.0 * least:
+                continue
+            if end_error(mapper, start, human_q) < 1.5 * least:
                 return start, human_q
     pytest.fail("no start is caught")
 
@@ -258,3 +263,41 @@ def test_a_detour_leaves_an_arm_to_its_wrist() -> None:
     arm = robot.spec.arm.rest
     (pulls,) = robot.finger_joints
     assert pulls.tolist() == [name not in arm for name in robot.joint_names]
+
+
+def test_a_detour_that_ends_late_is_not_taken_again_at_once(
+    caught: tuple[Motion, np.ndarray],
+) -> None:
+    """A posture that is out of reach would pull the hand away from its targets for ever."""
+    start, human_q = caught
+    mapper = mapper_of()
+    start_detour(mapper, start, human_q)
+    core = mapper.point_ik.core
+    were_on = []
+    for _ in range(round(1.8 / DT)):
+        detours = core.detours
+        # The hand stays where it was caught, as if something held it.
+        mapper.motion = start
+        core.go_on(detours)
+        mapper.map_step(human_q, PALM)
+        were_on.append(is_on_detour(mapper))
+    ended = were_on.index(False)
+    assert ended * DT == pytest.approx(0.3, abs=0.04)
+    assert not any(were_on[ended:])
+
+
+@pytest.mark.parametrize("finger", ["middle", "ring"])
+def test_a_pinch_that_stays_open_is_closed_by_another_way(finger: str) -> None:
+    human_q = pinched(finger, 0.010)
+    try:
+        mapper = mapper_of("shadow_right")
+    except MissingPackageError as error:
+        pytest.skip(str(error))
+    plain = mapper_of("shadow_right", takes_detours=False)
+    meter = GapMeter(mapper.robot)
+    gaps = []
+    for start in starts(mapper, 24):
+        ends = [run(each, start, human_q)[-1] for each in (mapper, plain)]
+        gaps.append(meter.pinches(np.array(ends))[finger])
+    is_open = np.array(gaps) > 0.002
+    assert is_open[:, 0].sum() == 0 < is_open[:, 1].sum()

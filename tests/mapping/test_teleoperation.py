@@ -8,13 +8,12 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from mapping_cases import little_pose, near_rest
+from mapping_cases import little_pose, near_rest, pinched
 from marks import crossed, slow
 
-from handmap_core.ik.tasks import AttachedPoints, PointDistances
+from handmap_core.ik.tasks import AttachedPoints
 from handmap_qp import (
     HandMapper,
-    IkOptions,
     InvalidInputError,
     InvalidOptionsError,
     Teleoperation,
@@ -245,20 +244,6 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     assert GapMeter(ALLEGRO).nearest(opened.command.q[None])[0] > 0.0
 
 
-def pinched(finger: str, gap: float) -> np.ndarray:
-    """A posture of the human in which the tips of thumb and finger are a gap [m] apart."""
-    pair = hand_pair(HUMAN, HUMAN)
-    ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
-    ik = pair_solver(HUMAN)
-    ik.solve(
-        ik.configuration.points.copy(),
-        ik.configuration.wrist.homogeneous,
-        1e3,
-        tasks=[PointDistances(ends, [(0, 1)], [gap], [10.0])],
-    )
-    return ik.configuration.q[HUMAN.q_indices]
-
-
 @pytest.mark.parametrize(
     ("formulation", "gap"), crossed(["compiled", "direct"], [0.005, 0.012], every=2)
 )
@@ -274,23 +259,6 @@ def test_a_pinch_that_is_held_stands_still(formulation: str, gap: float) -> None
         assert np.abs(steps).max() < 2e-3
         before = after
     assert GapMeter(robot).pinches(after.command.q[None])["index"][0] < 0.001
-
-
-def pair_solver(hand: Hand) -> Any:
-    from handmap_qp.ik.qp import PointIk
-
-    options = IkOptions(
-        point_weight=0.0,
-        wrist_position_weight=1e3,
-        wrist_orientation_weight=1e3,
-        rest_weight=0.1,
-        max_iterations=200,
-        step_tolerance=1e-6,
-        has_velocity_limits=False,
-    )
-    ik = PointIk(hand, options)
-    ik.place(hand.configuration_vector(hand.rest))
-    return ik
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "three_finger"])

@@ -204,7 +204,8 @@ class TargetSource(Generic[Human_co, Bound_co]):
         targets = target_map.targets(sample)
         if self.tasks:
             targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
-        return HandRequest(sample, targets, target_map.rest, dt, speed, target_map)
+        rest = target_map.rest if targets.rest is None else targets.rest
+        return HandRequest(sample, targets, rest, dt, speed, target_map)
 
     # -- taking it, which does not fail
 

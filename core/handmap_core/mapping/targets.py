@@ -83,6 +83,8 @@ class Targets(ArrayStruct, frozen=True):
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's if omitted.
         regularisation: Share of the QP's rest weight and damping of each joint, shape (n,); all
             of both if omitted.
+        rest: Joint positions that the QP's rest term pulls to for this sample [rad or m], shape
+            (n,); those of the map if omitted.
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
@@ -93,6 +95,7 @@ class Targets(ArrayStruct, frozen=True):
     margins: Array | None = None
     flags: Names = ()
     regularisation: Array | None = None
+    rest: Array | None = None
 
 
 class TargetMap(Protocol):
@@ -101,7 +104,8 @@ class TargetMap(Protocol):
     One that the core has too is a `CoreMap`.
 
     Attributes:
-        rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
+        rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,), unless a
+            sample's `Targets` say others.
     """
 
     rest: Array

@@ -26,9 +26,10 @@ from .estimation import MotionEstimator
 from .palm import AnyHand, PalmMap, PalmMethod
 from .targets import CoreMap, HumanPose, RobotPosture, Targets
 
-_KNOWN = "palm", "gaps", "pinching", "extensions"
+_KNOWN = "palm", "gaps", "pinching", "extensions", "rest"
 """Results that targets are made with: the human's palm, (4, 4); gaps from the thumb's tip to each
-finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
+finger's [m], and the share of each pinch row's weight, (p,) both; shares of reach, (f,); and the
+joint positions that the rest term pulls to, (n,)."""
 
 
 class PalmFollowing(NamedTuple):
@@ -101,6 +102,7 @@ class TeleoperationMap(CoreMap, PalmMap):
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.keeps_apart else None,
             regularisation=self.model.regularisation,
+            rest=known["rest"],
         )
 
 

@@ -118,6 +118,13 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
         contact_slope: Rise of a pinch's margin with the gap of thumb and finger.
         contact_from: Gap at which it rises [m].
         contact_most: Largest rise [m].
+        bone_starts: Where each bone of the person's fingers but the thumb begins, shape (b,).
+        bone_ends: Where it ends, shape (b,).
+        open_from: Distance of the thumb's tip from all bones from which on it is open [m].
+        open_over: How much farther it is wholly open [m].
+        pinch_rests: What each pinch adds to `rest`, shape (r - f, n).
+        rest_from: Gap of thumb and finger below which it does [m].
+        rest_over: How much smaller the gap is where it adds all of that [m].
         distances: The robot's distances, one for each row.
     """
 
@@ -156,6 +163,13 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
     contact_slope: float
     contact_from: float
     contact_most: float
+    bone_starts: Indices
+    bone_ends: Indices
+    open_from: float
+    open_over: float
+    pinch_rests: Matrix
+    rest_from: float
+    rest_over: float
     distances: DistancesModel
 
 

@@ -1,17 +1,18 @@
 // A way round, from a posture that holds fingers.
 //
 // Rows may hold a finger behind others, or a folded one, far from its target though another posture is
-// near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way, the
-// hand looks ahead by the same QPs: where would it end if it went by its rest posture? If that is clearly
-// nearer, the joints are pulled to what was found there, straight or by rest, whichever was seen to
-// arrive. Every step passes the gate. Each hand of a robot looks by itself.
+// near: a QP finds the nearest minimum. Where a point is away from its target, or thumb and finger do not
+// meet, and neither is on its way, the hand looks ahead by the same QPs: where would it end if it went by
+// its rest posture? If that is clearly nearer, the joints are pulled to what was found there, straight or
+// by rest, whichever was seen to arrive. Every step passes the gate. Each hand of a robot looks by itself.
 #pragma once
 
 #include "ik.hpp"
 
 namespace handmap {
 
-// A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip.
+// A point or pinch whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip,
+// 6 mm for a pinch of `teleoperation`.
 constexpr double kAway = 3.0;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
@@ -57,7 +58,10 @@ class Detours {
       solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
-      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, kAgain};
+      if (is_at(detour_.via))
+        detour_ = {{}, {}, {}, 0.0, kAgain};
+      else if (is_late)
+        detour_ = {{}, {}, errors(goal, result), 0.0, kLater};
       return;
     }
     solve_with_detours(ik_, index_, goal, when, margins, speed, result);
@@ -77,11 +81,8 @@ class Detours {
   };
 
   void look_ahead(const Goal& goal, const Vector& margins, const Result& result, double time) {
-    const Vector here = errors(result);
-    bool is_held_away = false;
-    for (size_t k = 0; k < here.size(); ++k)
-      is_held_away |= is_new(here, k) && !is_on_its_way(part_.first + k, result, time);
-    if (!is_held_away) return;
+    const Vector here = errors(goal, result);
+    if (!is_held_away(goal, here, result, time)) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
     Vector ahead = here;
@@ -95,7 +96,7 @@ class Detours {
     detour_ = {is_direct ? found.joints : rest, goal.points, {}, kLongest * kSample, 0.0};
   }
 
-  // Errors of the points and joints where the hand ends.
+  // Where the hand ends.
   End foresee(const Goal& given, const Vector& margins, const Vector& via) {
     const Motion motion = ik_.motion;
     const When next = When::after(kSample);
@@ -109,11 +110,12 @@ class Detours {
     End end;
     for (int k = 0; k < kSamples; ++k) {
       ik_.solve(goal, next, margins, 1.0, result);
-      end.errors = errors(result);
+      end.errors = errors(goal, result);
       if (*std::max_element(end.errors.begin(), end.errors.end()) <= kAway) break;
     }
     end.joints = joints();
     ik_.motion = motion;
+    ik_.at.place(motion.q.data());
     return end;
   }
 
@@ -139,19 +141,53 @@ class Detours {
     return most < kReached;
   }
 
-  // Whether a joint of its finger moves a point nearly as fast as it can.
-  bool is_on_its_way(size_t point, const Result& result, double time) const {
-    const int joint = ik_.tree.points[point].joint;
+  // Whether a point or a pinch is away, and what moves it is not on its way.
+  bool is_held_away(const Goal& goal, const Vector& errors, const Result& result,
+                    double time) const {
+    size_t k = 0;
+    for (size_t point = part_.first; point < part_.end; ++point, ++k)
+      if (is_new(errors, k) && !is_on_its_way(ik_.tree.points[point].joint, result, time))
+        return true;
+    bool is_any = false;
+    for_pinches(goal, [&](const Attached& thumb, const Attached& finger, double, double) {
+      is_any |= is_new(errors, k++) && !is_on_its_way(thumb.joint, result, time) &&
+                !is_on_its_way(finger.joint, result, time);
+    });
+    return is_any;
+  }
+
+  // Whether a joint of its finger moves what is on a joint nearly as fast as it can.
+  bool is_on_its_way(int joint, const Result& result, double time) const {
+    return any_finger_joint(joint, [&](int i) {
+      return std::abs(result.displacement[i]) > kOnItsWay * time * ik_.limits.speeds[i];
+    });
+  }
+
+  // Whether something holds for any of the fingers' coordinates that move what is on a joint.
+  template <class Holds>
+  bool any_finger_joint(int joint, const Holds& holds) const {
     if (joint < 0) return false;
     const std::vector<int>& moving = ik_.tree.moving[joint];
     for (size_t j = 0; j < is_finger_.size(); ++j) {
       const int i = ik_.tree.joint_columns[j];
-      const double most = kOnItsWay * time * ik_.limits.speeds[i];
-      if (is_finger_[j] != 0.0 && std::abs(result.displacement[i]) > most &&
-          std::binary_search(moving.begin(), moving.end(), i))
+      if (is_finger_[j] != 0.0 && std::binary_search(moving.begin(), moving.end(), i) && holds(i))
         return true;
     }
     return false;
+  }
+
+  // Call with both ends of each distance between two fingers of this hand, its aim and its weight.
+  template <class Call>
+  void for_pinches(const Goal& goal, const Call& call) const {
+    const auto is_of_finger = [&](const Attached& point) {
+      return any_finger_joint(point.joint, [](int) { return true; });
+    };
+    for (const AimedDistances& aimed : goal.distances)
+      for (size_t k = 0; k < aimed.weights.size(); ++k) {
+        const Attached& a = aimed.task->points[aimed.task->first[k]];
+        const Attached& b = aimed.task->points[aimed.task->second[k]];
+        if (is_of_finger(a) && is_of_finger(b)) call(a, b, aimed.aims[k], aimed.weights[k]);
+      }
   }
 
   Vector joints() const {
@@ -160,16 +196,21 @@ class Detours {
     return found;
   }
 
-  Vector errors(const Result& result) const {
+  // Errors of the points, then of pinches that are too wide, where the hand is [cost].
+  Vector errors(const Goal& goal, const Result& result) const {
     Vector found;
     for (size_t k = part_.first; k < part_.end; ++k)
       found.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
+    for_pinches(goal, [&](const Attached& a, const Attached& b, double aim, double weight) {
+      const double gap = norm(ik_.at.point(a) - ik_.at.point(b));
+      found.push_back(weight / kLengthUnit * std::max(gap - aim, 0.0));
+    });
     return found;
   }
 
   // Whether a point is away, by more than where no way round is known.
   bool is_new(const Vector& errors, size_t k) const {
-    const double known = detour_.known.empty() ? 0.0 : kGrown * detour_.known[k];
+    const double known = k < detour_.known.size() ? kGrown * detour_.known[k] : 0.0;
     return errors[k] > std::max(kAway, known);
   }
 

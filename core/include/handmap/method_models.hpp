@@ -102,6 +102,10 @@ struct TeleoperationModel {
   Indices pinch_pairs, pinch_of_pair;
   Vector pinch_margins;
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
+  Indices bone_starts, bone_ends;
+  double open_from = 0.0, open_over = 1.0;
+  Matrix pinch_rests;
+  double rest_from = 0.0, rest_over = 1.0;
   DistancesModel distances;
 
   template <class Visitor>
@@ -141,6 +145,13 @@ struct TeleoperationModel {
     visit("contact_slope", contact_slope);
     visit("contact_from", contact_from);
     visit("contact_most", contact_most);
+    visit("bone_starts", bone_starts);
+    visit("bone_ends", bone_ends);
+    visit("open_from", open_from);
+    visit("open_over", open_over);
+    visit("pinch_rests", pinch_rests);
+    visit("rest_from", rest_from);
+    visit("rest_over", rest_over);
     visit("distances", distances);
   }
 
@@ -164,7 +175,9 @@ struct TeleoperationModel {
       expect_count("TeleoperationModel: aims", each->size(), rows);
     expect_count("TeleoperationModel.extension_weights", extension_weights.size(), fingers);
     expect_count("TeleoperationModel.shape_points", shape_points.size(), estimator.shares.size());
-    for (const Indices* each : {&shape_points, &from_points, &to_points, &partners, &starts})
+    expect_count("TeleoperationModel.bone_ends", bone_ends.size(), bone_starts.size());
+    for (const Indices* each : {&shape_points, &from_points, &to_points, &partners, &starts,
+                                &bone_starts, &bone_ends})
       expect_below("TeleoperationModel: points of the human", *each,
                    static_cast<size_t>(human_points));
   }
@@ -181,6 +194,10 @@ struct TeleoperationModel {
 
   void check_pinches() const {
     const size_t pinches = from_points.size() - human_reach.size();
+    expect_that(pinches == 0 || !human_reach.empty(), "TeleoperationModel.human_reach",
+                "that of the thumb, which pinches");
+    expect_that(pinch_rests.rows == pinches && (pinches == 0 || pinch_rests.columns == rest.size()),
+                "TeleoperationModel.pinch_rests", "a posture of each pinch");
     expect_count("TeleoperationModel.pinch_margins", pinch_margins.size(), pinch_pairs.size());
     expect_count("TeleoperationModel.pinch_of_pair", pinch_of_pair.size(), pinch_pairs.size());
     expect_below("TeleoperationModel.pinch_pairs", pinch_pairs, base_margins.size());

@@ -130,7 +130,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const Wh
     throw std::invalid_argument("the map is of another hand");
   goal.points = targets.points;
   goal.wrists = {targets.wrist};
-  goal.postures = ik.postures(map.rest, ik.motion.next(when).granted);
+  goal.postures = ik.postures(targets.rest, ik.motion.next(when).granted);
   if (targets.regularisation)
     goal.regularise(*targets.regularisation);
   else

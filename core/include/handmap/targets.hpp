@@ -177,6 +177,7 @@ struct ArrayShape {
 struct Targets {
   std::vector<Vec3> points;
   Pose wrist;
+  Vector rest;  // joint positions that the QP's rest term pulls to
   const DistanceTask* distances = nullptr;
   Vector aims, weights, margins, diagnostics;
   // Share of the weights of the rest term and of the damping, of each joint; null for all of both.
@@ -209,6 +210,14 @@ struct PalmMap : PalmModel {
   }
 };
 
+// Distance of a point from a line segment.
+inline double distance_to(const Vec3& point, const Vec3& from, const Vec3& to) {
+  const Vec3 along = to - from;
+  const double length2 = dot(along, along);
+  const double share = length2 > 0.0 ? dot(point - from, along) / length2 : 0.0;
+  return norm(point - (from + std::min(std::max(share, 0.0), 1.0) * along));
+}
+
 // Go from 0 to 1 with no slope at either end; see se3.smoothstep.
 inline double smoothstep(double x) {
   x = clip(x, 0.0, 1.0);
@@ -232,7 +241,7 @@ class TargetMap {
   const Estimator estimator;
   const size_t human_points;
   const bool needs_wrist;
-  const Vector rest;  // joint positions that the QP's rest term pulls to
+  const Vector rest;  // joint positions that the rest term pulls to where a sample does not say
 
   // RMS distance of the human points from where T takes them [m]. The diagnostics of every map begin
   // with T's linear part, the centroid after the motion and the points after it.
@@ -265,7 +274,8 @@ class TeleoperationMap : public TargetMap {
   std::vector<ArrayShape> shapes() const override {
     const TeleoperationModel& of = model_;
     const size_t fingers = of.human_reach.size(), pinches = of.from_points.size() - fingers;
-    return {{3, 3}, {3}, {of.shape_points.size(), 3}, {4, 4}, {pinches}, {pinches}, {fingers}};
+    return {{3, 3},    {3},       {of.shape_points.size(), 3}, {4, 4},
+            {pinches}, {pinches}, {fingers},                   {rest.size()}};
   }
 
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Targets& targets) const override {
@@ -297,6 +307,8 @@ class TeleoperationMap : public TargetMap {
         targets.weights[k] = of.pinch_weight * pinching[p];
       }
     }
+    if (pinches > 0) open_thumb(now, extensions[0], targets.aims[0]);
+    rest_for(gaps, targets.rest);
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
     for (const double share : pinching) most = std::max(most, share);
@@ -328,9 +340,38 @@ class TeleoperationMap : public TargetMap {
     append(gaps, to_python);
     append(pinching, to_python);
     append(extensions, to_python);
+    append(targets.rest, to_python);
   }
 
  private:
+  // A thumb that is away from all fingers is as straight as the person's, whatever it is at rest.
+  void open_thumb(const std::vector<Vec3>& now, double extension, double& aim) const {
+    const TeleoperationModel& of = model_;
+    const Vec3& tip = now[of.to_points[0]];
+    double nearest = kInfinity;
+    for (size_t k = 0; k < of.bone_starts.size(); ++k)
+      nearest = std::min(nearest, distance_to(tip, now[of.bone_starts[k]], now[of.bone_ends[k]]));
+    const double straight = of.largest_aims[0] * std::min(extension, 1.0);
+    aim += smoothstep((nearest - of.open_from) / of.open_over) * (straight - aim);
+  }
+
+  // As a pinch closes, the rest posture becomes the one that closes it, so that thumb and finger come
+  // to each other by the same way from anywhere.
+  void rest_for(const Vector& gaps, Vector& found) const {
+    const TeleoperationModel& of = model_;
+    found = of.rest;
+    Vector shares(gaps.size());
+    double total = 0.0;
+    for (size_t p = 0; p < gaps.size(); ++p) {
+      shares[p] = smoothstep((of.rest_from - gaps[p]) / of.rest_over);
+      total += shares[p];
+    }
+    total = std::max(total, 1.0);
+    for (size_t p = 0; p < gaps.size(); ++p)
+      for (size_t i = 0; i < found.size(); ++i)
+        found[i] += shares[p] / total * of.pinch_rests.row(p)[i];
+  }
+
   const TeleoperationModel model_;
   const PalmMap palm_;
   const DistanceTask distances_;
@@ -403,6 +444,7 @@ class HomogeneousMap : public TargetMap {
       }
     }
     targets.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * model_.robot_wrist;
+    targets.rest = rest;
     Vector& to_python = targets.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);

@@ -66,6 +66,14 @@ _THUMB_EXTENSION = 1.0, 0.5
 _CONTACT_SLOPE = 0.25
 _CONTACT_FROM = 0.018
 _CONTACT_MOST = 0.005
+# Distances of the thumb's tip from all bones of the other fingers from which on it is open, and over
+# which it comes to be wholly open [m].
+_OPEN_FROM = 0.050
+_OPEN_OVER = 0.040
+# Gaps of thumb and finger at which the rest posture begins to become that of the pinch, and over which
+# it does [m]: from farther away than the pinch row, so that joints turn before pads are in the way.
+_REST_FROM = 0.100
+_REST_OVER = 0.080
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
 
@@ -148,6 +156,10 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
             contact_slope=(1.0 - likeness) * _CONTACT_SLOPE,
             contact_from=_CONTACT_FROM,
             contact_most=_CONTACT_MOST,
+            **self._bones(),
+            pinch_rests=self._pinch_rests(),
+            rest_from=_REST_FROM,
+            rest_over=_REST_OVER,
             distances=pair.measured.distances.model(),
         )
 
@@ -223,6 +235,33 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
             "extension_weights": corrected * by_finger,
             "pinch_weight": corrected * choices.pinch_weight,
         }
+
+    def _bones(self) -> dict[str, Any]:
+        """Return the bones of the person's fingers but the thumb, and when a thumb is open."""
+        bones = self.pair.bones
+        return {
+            "bone_starts": bones[:, :-1].ravel(),
+            "bone_ends": bones[:, 1:].ravel(),
+            "open_from": _OPEN_FROM,
+            "open_over": _OPEN_OVER,
+        }
+
+    def _pinch_rests(self) -> Array:
+        """Return what each pinch adds to the rest posture in its own two fingers, shape (p, n).
+
+        Places lead a hand like the person's to a pinch by themselves.
+        """
+        pair = self.pair
+        added = np.zeros((len(self.pinched), len(pair.matched)))
+        if pair.has_jaws or not self.pinched:
+            return added
+        postures = pair.measured.pinches_by_finger
+        unlike = 1.0 - pair.palms.likeness
+        for row, finger in zip(added, self.pinched, strict=True):
+            for name in (THUMB, finger):
+                own = pair.chains[name].columns
+                row[own] = unlike * (postures[finger] - pair.matched)[own]
+        return added
 
     def _margins(self) -> dict[str, Array]:
         """Return the margins of contact pairs, and which of them belongs to which pinch."""
