@@ -9,7 +9,10 @@ finger counts as caught where, at the end of its pose, it points or bends more t
 the person's. *read* is the share of poses that the reader, who has seen people only, names right.
 *still* counts samples in which the person moves, and no joint of the robot does. `start` maps one
 recording from 20 cuts: the share of samples whose joints differ by more than 5 degrees, a second
-later, from those of the whole recording.
+later, from those of the whole recording. An *open* thumb's tip is 50 mm and more from all bones of
+the other fingers; *visible* is its part from the MCP joint to the tip.
+
+`--held-back` has poses that no mapping was tuned on (`tests/data/held_back`), without a reader.
 """
 
 from __future__ import annotations
@@ -25,7 +28,17 @@ from typing import Any
 
 import numpy as np
 import shared_hands
-from gesture_tours import CAUGHT, Pose, compare, map_tour, read_poses, tour
+from gesture_tours import (
+    CAUGHT,
+    Pose,
+    compare,
+    map_tour,
+    read_held_back,
+    read_poses,
+    thumb_away,
+    thumb_errors,
+    tour,
+)
 from handmap_score.reader import Reader
 
 from handmap_qp import HandmapError, HandMapper, Recording, read_recording
@@ -39,6 +52,8 @@ from handmap_qp.stream.measurement import measure_person
 
 ROBOTS = ("allegro_right", "leap_right", "shadow_right", "wuji_right", "orca_right")
 _CUTS, _LATER, _APART = 20, 1.0, 5.0
+_OPEN = 0.05
+"""Distance from all fingers at which a thumb is open [m]."""
 
 
 def measure(
@@ -55,6 +70,9 @@ def measure(
     is_thumb = np.array([finger == "thumb" for finger in errors.names])
     others = np.array([finger in FINGERS[1:4] for finger in errors.names])
     thumb = errors.direction[:, is_thumb].ravel()
+    is_open = thumb_away(shown) > _OPEN
+    visible = thumb_errors(robot, q, shown)[is_open]
+    last = errors.last[:, is_thumb].ravel()
     worst = errors.direction[:, others].max(axis=1)
     off = np.maximum(errors.direction, np.abs(errors.bend))[:, ~is_thumb]
     caught = (off > CAUGHT).any(axis=1)
@@ -62,6 +80,8 @@ def measure(
     _, first = np.unique(order, return_index=True)
     right = []
     for source in dict.fromkeys(pose.source for pose in poses):
+        if source is None:
+            continue
         is_own = np.array([poses[k].source == source for k in order])
         names = tuple(poses[k].name for k in order if poses[k].source == source)
         reader = Reader(source, robot.side, tuple(errors.names))
@@ -73,12 +93,14 @@ def measure(
         "poses": len(order),
         "thumb": np.median(thumb),
         "thumb p95": np.percentile(thumb, 95),
-        "last bone": np.median(errors.last[:, is_thumb]),
+        "last bone": np.median(last),
+        "open, visible": np.median(visible),
+        "open, last bone": np.median(last[is_open]),
         "worst finger": np.median(worst),
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),
         "still": still,
-        "read": np.mean(right),
+        "read": np.mean(right) if right else float("nan"),
         "closed": pinches_closed(meter, q, shown, errors.names),
         "deepest_mm": 1e3 * min(0.0, meter.nearest(q[first]).min()),
     }
@@ -144,8 +166,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--presets", nargs="+", default=["teleoperation"])
     parser.add_argument("--caught", action="store_true", help="list transitions")
     parser.add_argument("--start", action="store_true", help="map recordings from cuts")
+    parser.add_argument(
+        "--held-back", action="store_true", help="poses that nothing was tuned on"
+    )
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
-    poses = read_poses()
+    poses = read_held_back() if arguments.held_back else read_poses()
     if arguments.quick:
         poses, arguments.robots = poses[:4], arguments.robots[:1]
     rows, starts = [], []

@@ -72,7 +72,10 @@ def test_a_model_of_two_hands_is_one_for_all_references() -> None:
         ({"pinch_pairs": BOUND.model.pinch_pairs + 9999}, "pinch_pairs: expected"),
         ({"pinch_of_pair": BOUND.model.pinch_of_pair + 9}, "pinch_of_pair: expected"),
         ({"bone_ends": BOUND.model.bone_ends[1:]}, "bone_ends: expected 9 of them"),
-        ({"bone_starts": BOUND.model.bone_starts + 20}, "points of the human: expected"),
+        (
+            {"bone_starts": BOUND.model.bone_starts + 20},
+            "points of the human: expected",
+        ),
         ({"pinch_rests": np.zeros((3, 2))}, "pinch_rests: expected a posture of each"),
         ({"pinch_rests": np.zeros((2, 16))}, "pinch_rests: expected a posture of each"),
         ({"regularisation": np.zeros(2)}, "regularisation: expected 16 of them, got 2"),

@@ -12,6 +12,7 @@ import pytest
 import shared_hands
 from marks import full
 
+from handmap_qp import load_hand
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
@@ -42,3 +43,34 @@ def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
     # 13 poses; what is left are detours on their way when the next gesture begins.
     assert caught.mean() <= 0.015
     assert still <= 5
+
+
+def test_an_open_thumb_is_straight_on_people_that_nothing_was_tuned_on() -> None:
+    poses = gesture_tours.read_held_back()
+    order = gesture_tours.tour(len(poses))[:160]
+    hand = load_hand("allegro_right")
+    robot, q, wrist, still = gesture_tours.map_tour(hand, poses, order, "teleoperation")
+    shown = np.array([poses[k].landmarks for k in order])
+    lengths = HumanLengths.from_hand_length(0.19)
+    errors = gesture_tours.compare(
+        trace_human(shown, lengths), trace_robot(robot, q, wrist)
+    )
+    is_open = gesture_tours.thumb_away(shown) > 0.05
+    assert is_open.sum() > 30
+    last = errors.last[is_open, errors.names.index("thumb")]
+    # Its change from rest, which was followed before, leaves it bent by 50 degrees.
+    assert np.median(last) < 30.0
+    assert still == 0
+
+
+def test_a_thumb_is_as_far_away_as_the_nearest_bone() -> None:
+    landmarks = np.zeros((2, 21, 3))
+    # Bones of four fingers in the plane z = 0, from y = 0.1 to 0.19.
+    for finger in range(4):
+        for joint in range(4):
+            landmarks[:, 5 + 4 * finger + joint] = 0.02 * finger, 0.1 + 0.03 * joint, 0
+    landmarks[0, 4] = -0.03, 0.115, 0.04  # beside the index finger's first bone
+    landmarks[1, 4] = 0.02, 0.22, 0.0  # beyond the middle finger's tip
+    np.testing.assert_allclose(
+        gesture_tours.thumb_away(landmarks), [0.05, 0.03], atol=1e-12
+    )

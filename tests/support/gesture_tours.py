@@ -7,6 +7,7 @@ second between them (minimum jerk) and half a second each. The palm stays.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,20 +22,27 @@ from handmap_qp.apps.offline.hand_trace import (
     HandTrace,
     trace_human,
 )
+from handmap_qp.hands import THUMB, find_fingers
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.measure import scaled_human
+from handmap_qp.mapping.hand_pair import points_in_palm
 
 RATE = 60.0
 """Samples per second."""
 _MOVE, _HOLD = 30, 30
+HELD_BACK = Path(__file__).parents[1] / "data" / "held_back" / "handy-work.npz"
+"""Poses that no mapping was tuned on; see the README beside them."""
 CAUGHT = 60.0
 """A finger that is farther off than this is caught [deg]."""
 
 
 class Pose(NamedTuple):
-    """A labelled pose: its landmarks with the palm at the origin, shape (21, 3)."""
+    """A labelled pose: its landmarks with the palm at the origin, shape (21, 3).
 
-    source: Source
+    What is held back has no source that a reader knows.
+    """
+
+    source: Source | None
     name: str
     landmarks: np.ndarray
 
@@ -47,6 +55,23 @@ def read_poses() -> list[Pose]:
         for name, points in zip(gestures.names, gestures.landmarks, strict=True):
             if not name.endswith("(left)"):
                 found.append(Pose(source, name, points))
+    return _with_one_palm(found)
+
+
+def read_held_back() -> list[Pose]:
+    """Read poses that no mapping was tuned on: other people's, and left hands, mirrored."""
+    with np.load(HELD_BACK) as arrays:
+        names = arrays["names"].tolist()
+        landmarks = arrays["landmarks"]
+    found = []
+    for name, points in zip(names, landmarks, strict=True):
+        mirror = (-1.0, 1.0, 1.0) if name.startswith("LEFT") else (1.0, 1.0, 1.0)
+        found.append(Pose(None, name, points * mirror))
+    for source in SOURCES:
+        gestures = read_gestures(source)
+        for name, points in zip(gestures.names, gestures.landmarks, strict=True):
+            if name.endswith("(left)"):
+                found.append(Pose(None, name, points))
     return _with_one_palm(found)
 
 
@@ -122,6 +147,41 @@ def map_tour(
             q.append(step.command.q)
             wrist.append(step.command.wrist)
     return mapper.robot, np.array(q), np.array(wrist), int(still)
+
+
+def thumb_away(landmarks: np.ndarray) -> np.ndarray:
+    """Return the distance of the thumb's tip from the nearest bone of the other fingers [m].
+
+    Args:
+        landmarks: Shape (T, 21, 3).
+    """
+    tip = landmarks[:, 4:5]
+    fingers = landmarks[:, 5:].reshape(len(landmarks), 4, 4, 3)
+    starts, ends = fingers[:, :, :-1], fingers[:, :, 1:]
+    starts, ends = (each.reshape(len(landmarks), -1, 3) for each in (starts, ends))
+    bones = ends - starts
+    share = np.vecdot(tip - starts, bones) / np.vecdot(bones, bones)
+    nearest = starts + np.clip(share, 0.0, 1.0)[:, :, None] * bones
+    return np.linalg.norm(tip - nearest, axis=2).min(axis=1)
+
+
+def thumb_errors(robot: Hand, q: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """Return the angle between the parts of both thumbs that people see [deg], shape (T,).
+
+    It is the part from the MCP joint to the tip, in palm axes.
+
+    Args:
+        robot: The robot.
+        q: Its joints at each pose, shape (T, n).
+        landmarks: The person's, shape (T, 21, 3).
+    """
+    lengths = HumanLengths.from_hand_length(0.19)
+    axes = trace_human(landmarks, lengths).palm[:, None, :3, :3].swapaxes(2, 3)
+    thumb = find_fingers(robot)[THUMB]
+    places = [thumb.between or thumb.knuckle, thumb.tip]
+    robots = np.diff(points_in_palm(robot, q, places), axis=1)[:, 0]
+    persons = (axes @ (landmarks[:, 4] - landmarks[:, 2])[:, None, :, None])[:, 0, :, 0]
+    return angles_between(persons, robots)
 
 
 class Errors(NamedTuple):
