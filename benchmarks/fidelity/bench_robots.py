@@ -10,7 +10,9 @@ distance of the robot's palms differs from the person's while these are within 2
 columns are each hand's figures minus those of the same hand without an arm, of the robot's own
 description, where the person's palms are farther apart: correlation of the extensions, direction
 of the fingers [deg], closed pinches; the worse hand counts. `cost` is the CPU time of a step over
-that of one hand without an arm, measured in turns.
+that of one hand without an arm, measured in turns. `lean` is how far the joint of a waist or torso
+that is farthest from rest is there, in the median, and `bent` the share of samples in which one is
+at a limit; `--waist` gives them other weights (`joint_weights` of a robot.yaml).
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import common  # first: it sets the number of threads before numpy is loaded
 import argparse
 import time
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -34,7 +37,7 @@ from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.hands import Side
+from handmap_qp.hands import Side, are_prismatic
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -67,6 +70,28 @@ def find_pairs(files: Sequence[Any]) -> list[Hands]:
         stem = recording.name.removesuffix(f"_{recording.side}")
         by_name.setdefault(stem, {})[recording.side] = recording
     return [hands for hands in by_name.values() if len(hands) == 2]
+
+
+def with_waist(name: str, weight: float | None) -> Hand:
+    """Load a robot whose waist or torso has a weight of its own; the usual one if None."""
+    robot = load_robot(name)
+    if weight is None:
+        return robot
+    named = compress(robot.joint_names, robot.carries_limbs)
+    spec = read_robot_spec(robot_files()[name])
+    return load_robot(replace(spec, joint_weights=dict.fromkeys(named, weight)))
+
+
+def leaning(robot: Hand, q: np.ndarray) -> dict[str, float]:
+    """Return how far the joints of a waist are from rest [deg or m], and how often at a limit."""
+    waist = robot.carries_limbs
+    if not waist.any():
+        return {"lean": np.nan, "bent": np.nan}
+    away = np.abs(q - robot.rest)[:, waist].max(axis=1)
+    at_limit = np.array([robot.at_position_limit(each) for each in q])[:, waist]
+    is_angle = not are_prismatic(robot)[waist].any()
+    lean = float(np.median(np.degrees(away) if is_angle else away))
+    return {"lean": lean, "bent": float(at_limit.any(axis=1).mean())}
 
 
 def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, Any]:
@@ -114,9 +139,11 @@ def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, A
     row["palms, least_mm"] = 1e3 * near.min()
     row["off_mm"] = 1e3 * np.median(off[is_near]) if is_near.any() else np.nan
     row["off, most_mm"] = 1e3 * off[is_near].max() if is_near.any() else np.nan
+    row["wrist, median_mm"] = 1e3 * np.median(wrists)
     row["wrist_mm"] = 1e3 * np.percentile(wrists, 95)
     row["overlap_mm"] = 1e3 * max(overlaps)
     q = np.array(motion)
+    row |= leaning(robot, q)
     changes = [
         changed(robot.by_side[s], hand, hands[s], q, samples, ~is_near)
         for s, hand in bare.items()
@@ -208,6 +235,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("Both hands of a person on one robot.")
     parser.add_argument("--robots", nargs="+", default=ROBOTS, choices=ROBOTS)
+    parser.add_argument(
+        "--waist", nargs="+", type=float, default=[None], metavar="WEIGHT"
+    )
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     meeting = meeting_hands()
     if arguments.quick:
@@ -221,8 +251,10 @@ def main(words: Sequence[str] | None = None) -> None:
         # Headsets have +y up.
         pairs += [("y-up", hands) for hands in find_pairs(files)]
     rows = [
-        measure(name, load_robot(name), hands, alignment)
+        measure(name, with_waist(name, weight), hands, alignment)
+        | {"waist": weight or "usual"}
         for name in arguments.robots
+        for weight in arguments.waist
         for alignment, hands in pairs
     ]
     common.print_table("Robots with two hands", rows, to_stderr=arguments.json == "-")

@@ -86,6 +86,7 @@ def hand_model(hand: Hand) -> HandModel:
         rest=hand.rest,
         lower=hand.lower_limits,
         upper=hand.upper_limits,
+        joint_weights=hand.joint_weights,
         wrists=tuple(_place_model(each.wrist_frame) for each in hand.hands),
         palm=_place_model(hand.palm_frame),
         point_counts=np.array([len(each.reference_points) for each in hand.hands]),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -64,7 +64,16 @@ Points = str | Sequence[str | PointSpec]
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("frames", "moves_wrist", "tree", "_scratch")
+_CACHED = (
+    "frames",
+    "moves_wrist",
+    "carries_limbs",
+    "joint_weights",
+    "tree",
+    "_scratch",
+)
+_LIMB_WEIGHT = 30.0
+"""Weight of a joint that carries another limb: a robot that stands falls if it bends its waist."""
 
 
 class Hand:
@@ -272,6 +281,48 @@ class Hand:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
         carried = [self.carries(hand.wrist_frame) for hand in self.hands]
         return frozen(np.any(carried, axis=0))
+
+    @cached_property
+    def carries_limbs(self) -> Array:
+        """Which joints of an arm carry another limb too, such as a waist or a torso, shape (n,).
+
+        A limb has a movable joint, and hangs neither from a wrist nor on the way to it.
+        """
+        found = np.zeros(len(self.joints), dtype=bool)
+        supports = self.model.supports
+        for hand in self.hands:
+            wrist = hand.wrist_frame.parentJoint
+            way = {*supports[wrist]}
+            for carrier in hand._carriers(way):
+                common = {*supports[carrier]}
+                if wrist not in common:
+                    found |= np.isin(self.joints, [*common & way])
+        return frozen(found)
+
+    def _carriers(self, way: set[int]) -> Iterator[int]:
+        """Yield the joint that carries each movable joint that is not on the way to the wrist."""
+        model = self.model
+        for joint in self.joints:
+            if joint not in way:
+                yield model.parents[joint]
+        frame = model.getFrameId(self.spec.wrist.link, _LINK)
+        before = set()
+        while frame:
+            before.add(frame)
+            frame = model.frames[frame].parentFrame
+        for name, role in zip(self.all_joint_names, self.all_joint_roles, strict=True):
+            if role == "locked":
+                locked = model.getFrameId(name)
+                if locked not in before:
+                    yield model.frames[locked].parentJoint
+
+    @cached_property
+    def joint_weights(self) -> Array:
+        """What each joint's motion costs, 1 for most: `HandSpec.joint_weights`; shape (n,)."""
+        usual = np.where(self.carries_limbs, _LIMB_WEIGHT, 1.0)
+        given = self.spec.joint_weights
+        named = zip(self.joint_names, usual, strict=True)
+        return frozen(np.array([given.get(name, at) for name, at in named]))
 
     def carries(self, frame: pin.Frame) -> Array:
         """Return which joints carry a frame of the model, shape (n,)."""

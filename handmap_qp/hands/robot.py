@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from msgspec import Meta
+from msgspec import Meta, field
 from msgspec.structs import replace
 
 from handmap_core.errors import HandError, expect
@@ -36,6 +36,7 @@ from .spec import (
     HandSpec,
     Positions,
     Vector,
+    Weights,
     read_document,
     read_hand_spec,
     typed,
@@ -72,6 +73,7 @@ class RobotSpec(Document, frozen=True):
         name: Short name of the robot.
         hands: Its hands by their side.
         base: `floating` where it walks or drives; see `RobotMapper.base_pose`.
+        joint_weights: As in `HandSpec`, by the robot's joints; it overrules those of its hands.
         directory: Folder at which relative paths start; that of `robot.yaml`.
         file: The file that the description was read from, for messages.
     """
@@ -79,6 +81,7 @@ class RobotSpec(Document, frozen=True):
     name: str
     hands: Annotated[dict[Side, RobotHandSpec], Meta(min_length=1)]
     base: Literal["fixed", "floating"] = "fixed"
+    joint_weights: Weights = field(default_factory=dict)
     directory: Path | None = None
     file: Path | None = None
 
@@ -153,17 +156,23 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
     SubElement(whole, "link", name=BASE)
     prefixes: dict[Side, str] = {}
     rest: Positions = {}
+    weights: Positions = {}
     for (_, place), sides in trees.items():
         prefix = "" if len(trees) == 1 else f"{sides[0]}_"
         spec = _merged([specs[side] for side in sides])
         _stand(whole, spec, prefix, *place)
         arm = spec.arm.rest if spec.arm else {}
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
+        weights |= {f"{prefix}{name}": at for name, at in spec.joint_weights.items()}
         prefixes |= dict.fromkeys(sides, prefix)
+    for joint in sorted(robot.joint_weights.keys() - rest.keys()):
+        problem = f"{joint!r} is not one of the robot's joints"
+        raise HandError(problem, file=robot.file, key="joint_weights", value=joint)
+    weights |= robot.joint_weights
     text = tostring(whole, encoding="unicode")
     hands = []
     for side, prefix in sorted(prefixes.items()):
-        spec = _on_robot(specs[side], robot.name, prefix, rest)
+        spec = _on_robot(specs[side], robot.name, prefix, rest, weights)
         hands.append(Hand(spec, urdf_text=text))
         hands[-1].has_floating_base = robot.base == "floating"
     return joined(robot.name, *hands)
@@ -205,7 +214,7 @@ def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:
 
 def _merged(specs: Sequence[HandSpec]) -> HandSpec:
     """Return the description of all joints that hands of one URDF move."""
-    keys = "rest", "locked", "limits", "mimic"
+    keys = "rest", "locked", "limits", "mimic", "joint_weights"
     whole = {k: reduce(or_, (getattr(spec, k) for spec in specs)) for k in keys}
     # One hand holds still what is the other's: its joints, and those that follow them.
     own = whole["rest"] | whole["mimic"]
@@ -227,7 +236,9 @@ def _stand(
     robot.extend(list(tree))
 
 
-def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSpec:
+def _on_robot(
+    spec: HandSpec, name: str, prefix: str, rest: Positions, weights: Positions
+) -> HandSpec:
     """Return the description of a hand in the composed URDF of its robot."""
 
     def renamed(value: Any) -> Any:
@@ -256,4 +267,5 @@ def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSp
         locked={},
         limits={},
         mimic={},
+        joint_weights=weights,
     )

@@ -27,6 +27,8 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 Positions = dict[str, float]
 """Positions of joints by name [rad or m]."""
 Positive = Annotated[float, Meta(gt=0.0)]
+Weights = dict[str, Positive]
+"""Weights of joints by name."""
 Upright = Annotated[str, Meta(pattern=UPRIGHT)]
 """Axes of a world that are up and forward, such as `+y up, -z forward`."""
 _Spec = TypeVar("_Spec")
@@ -223,6 +225,7 @@ class _HandFields(Document, frozen=True):
     shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
     neutral_match: Positions | None = None
+    joint_weights: Weights = {}
     upright: Upright = "+z up, +x forward"
     tuning: Values = {}
     directory: Path | None = None
@@ -264,6 +267,9 @@ class HandSpec(_HandFields, frozen=True):
         neutral_match: Position of every joint in the posture that corresponds to the resting human
             hand [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved
             for each pair of hands; `handmap hands match` prints it.
+        joint_weights: What the motion of a joint costs, and leaving its rest, where a finger's or
+            an arm's costs 1. If omitted, 30 for joints that carry another limb too, such as a
+            waist; see `Hand.carries_limbs`.
         upright: Which axes of the world of a hand on an arm are up and forward, of its root link
             without `arm`; those of REP 103 if omitted.
         tuning: What `handmap calibrate-actuators` found of one hand and its motors, for
@@ -488,6 +494,8 @@ def _joint_problems(spec: HandSpec) -> Problems:
             message = f"{joint!r} is one of `joints`, and cannot be locked"
             yield message, f"{prefix}locked", joint
         yield from _posture_problems(part.joints, part.rest, f"{prefix}rest")
+    for joint in sorted(spec.joint_weights.keys() - {*spec.all_joints}):
+        yield f"{joint!r} is not one of `joints`", "joint_weights", joint
     match = spec.rest if spec.neutral_match is None else spec.neutral_match
     yield from _posture_problems(spec.joints, match, "neutral_match")
 

@@ -67,9 +67,10 @@ def posture_terms(gate: IkGate, goal: Goal) -> list[JointPositions]:
     hand = gate.hand
     options = gate.options
     every = slice(None)
-    of_rest: float | Array = options.rest_weight
+    weights = hand.joint_weights
+    of_rest = options.rest_weight * weights
     if goal.regularisation is not None:
-        of_rest = options.rest_weight * goal.regularisation
+        of_rest = of_rest * goal.regularisation
     terms = [JointPositions(hand, every, goal.rest, of_rest)]
     if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
         return terms
@@ -80,8 +81,8 @@ def posture_terms(gate: IkGate, goal: Goal) -> list[JointPositions]:
     ahead = start + dt * motion.velocity[hand.joint_columns]
     return [
         *terms,
-        JointPositions(hand, every, start, options.speed_weight),
-        JointPositions(hand, every, ahead, options.acceleration_weight),
+        JointPositions(hand, every, start, options.speed_weight * weights),
+        JointPositions(hand, every, ahead, options.acceleration_weight * weights),
     ]
 
 
@@ -121,6 +122,7 @@ def cost_rows(
 def squared_damping(gate: IkGate, goal: Goal, size: int) -> Array:
     """Return the squared cost of any motion of each of k coordinates, shape (k,)."""
     damping = np.full(size, gate.options.damping**2)
+    damping[gate.hand.joint_columns] *= gate.hand.joint_weights**2
     if goal.regularisation is not None:
         damping[gate.hand.joint_columns] *= goal.regularisation**2
     return damping

@@ -227,6 +227,18 @@ def test_pads_that_are_pressed_on_each_other() -> None:
     assert ik.costs - before < 0.8 * solved
 
 
+def test_looking_for_another_way_takes_few_qps() -> None:
+    recording = read_recording("demo", "right")
+    mapper = HandMapper(load_hand("human", points="landmarks"), ALLEGRO)
+    ik = mapper.point_ik.core
+    costs = [ik.costs]
+    for landmarks in recording.landmarks[recording.valid]:
+        mapper.map_landmarks(landmarks, dt=1 / 60)
+        costs.append(ik.costs)
+    assert np.mean(np.diff(costs)) < 2.6
+    assert np.diff(costs).max() < 60
+
+
 def test_a_sample_with_a_grip(
     people: Iterator[Hand], samples: list[HumanSample]
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handmap_core.ik.tasks import AttachedPoints
+from handmap_core.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp import HandMapper, Teleoperation, load_hand
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
@@ -39,6 +39,7 @@ def asked_extension(points: Array) -> float:
     """Return the share of its reach that Allegro's thumb is asked for."""
     step = HandMapper(HUMAN, ALLEGRO).map_points(points, np.eye(4))
     (rows,) = step.asked.tasks
+    assert isinstance(rows, PointDistances)
     return float(rows.distances[0] / BOUND.pair.robot_reach[0])
 
 

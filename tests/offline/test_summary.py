@@ -125,3 +125,30 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     assert summarise(replace(trajectory, wrist_error=error))["arm_out_of_reach"] is None
     near = notes(summarise(replace(late, wrist_error=0.1 * error)))
     assert not [note for note in near if "arm" in note]
+
+
+def test_a_waist_at_its_limit_is_one_line_and_says_how_far_it_bends() -> None:
+    robot = load_robot("g1")
+    waist = robot.joint_names.index("waist_pitch_joint")
+    trajectory = mapped(1000.0)
+    seen = len(trajectory.time)
+    q = np.tile(robot.rest, (seen, 1))
+    at_limit = np.zeros(q.shape, dtype=bool)
+    upright = replace(
+        trajectory, robot=robot, q=q, at_speed_limit=at_limit, at_limit=at_limit
+    )
+    assert not [note for note in notes(summarise(upright)) if "may fall" in note]
+    assert "waist_pitch_joint by up to 0 deg" in table_rows(summarise(upright))["leans"]
+    q, at_limit = q.copy(), at_limit.copy()
+    q[seen // 2 :, waist] = robot.upper_limits[waist]
+    at_limit[seen // 2 :, waist] = True
+    bent = summarise(replace(upright, q=q, at_limit=at_limit))
+    (row,) = [row for row in bent["leaning"] if row["joint"] == "waist_pitch_joint"]
+    assert row["most"] == pytest.approx(robot.upper_limits[waist])
+    assert 0.4 < row["at_limit_share"] < 0.6
+    (note,) = [note for note in notes(bent) if "may fall" in note]
+    assert "waist_pitch_joint in 5" in note
+    assert "waist_pitch_joint by up to 30 deg" in table_rows(bent)["leans"]
+    # A hand alone cannot lean.
+    assert summarise(trajectory)["leaning"] == []
+    assert "leans" not in table_rows(summarise(trajectory))

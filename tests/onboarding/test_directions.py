@@ -12,6 +12,7 @@ from handmap_qp.apps.onboarding.findings import HandReport, Rows
 from handmap_qp.apps.onboarding.measure import check_directions
 from handmap_qp.apps.onboarding.picture import hand_scene
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.robot import robot_files
 
 BARE = load_hand("allegro_right")
 
@@ -70,3 +71,12 @@ def test_they_are_printed(
     assert cli.main(words) == 0
     assert "hand up -> robot up" in capsys.readouterr().out
     assert picture.is_file()
+
+
+def test_a_waist_says_how_far_it_goes() -> None:
+    left = robot_files()["g1"].parent / "left.yaml"
+    rows = measure_directions(load_hand(left))
+    assert all(len(row["waist moved"]) == 3 for row in rows)
+    # The arm can do 5 cm by itself.
+    assert np.abs([row["waist moved"] for row in rows]).max() < 5
+    assert "waist moved" not in measure_directions(load_hand("ur5_allegro"))[0]

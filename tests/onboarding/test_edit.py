@@ -208,7 +208,8 @@ def test_scores_tell_a_palm_that_is_turned_over(small_gestures: None) -> None:
     (extension, direction, closed), wrong = scores
     assert extension > 0.9 > wrong[0]
     assert direction < 20.0 < wrong[1]
-    assert closed == 1.0 > wrong[2]
+    # A pinch may close a sample or two after the person's.
+    assert closed > 0.95 > wrong[2]
 
 
 def test_mistakes_are_found_before_a_page_is_shown(tmp_path: Path) -> None:

@@ -478,7 +478,7 @@ def test_thumb_and_index_finger_gather_whichever_finger_is_nearest() -> None:
     used = robot_fingers(hand).used
     away = np.abs(gathered - plain).max(axis=0)
     moved = {name: away[finger.columns].max() for name, finger in used.items()}
-    assert moved["index"] > 0.1
+    assert moved["index"] > 0.04
     # The others make room at most.
     assert moved["ring"] < 0.3 * moved["index"]
 

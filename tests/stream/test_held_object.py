@@ -482,6 +482,17 @@ def test_nothing_jumps_when_the_object_takes_hold(way: str) -> None:
 
 def test_an_object_that_is_not_seen_lets_go_of_the_hand() -> None:
     recording = held().recording
+    # The person stays there for two seconds: a thumb that was led elsewhere looks for its way.
+    last = np.append(np.arange(len(recording)), [len(recording) - 1] * 120)
+    landmarks = recording.landmarks[last]
+    landmarks[:, :, 0] += 1e-6 * np.arange(len(last))[:, None]
+    recording = dataclasses.replace(
+        recording,
+        time=recording.time[0] + np.arange(len(last)) / 60.0,
+        landmarks=landmarks,
+        valid=recording.valid[last],
+        object_pose=np.array(recording.object_pose)[last],
+    )
     poses = np.array(recording.object_pose)
     poses[90:] = np.nan
     lost = dataclasses.replace(recording, object_pose=poses)

@@ -128,6 +128,10 @@ class Hand(Protocol):
         """Speed limits [rad/s or m/s], shape (n,)."""
 
     @property
+    def joint_weights(self) -> Array:
+        """What the motion of each joint costs, 1 for a finger's, shape (n,)."""
+
+    @property
     def rest(self) -> Array:
         """Rest posture [rad or m], shape (n,)."""
 

@@ -76,6 +76,7 @@ class HandModel(Model, frozen=True, kw_only=True):
         rest: Positions of the n joints at rest [rad or m], shape (n,).
         lower: Their lower limits, shape (n,).
         upper: Their upper limits, shape (n,).
+        joint_weights: What their motion costs, and leaving their rest, shape (n,); 1 for a finger.
         wrists: Wrist frame of each hand.
         palm: Palm frame of the hand, or of the first one.
         point_counts: Number of reference points of each hand.
@@ -99,6 +100,7 @@ class HandModel(Model, frozen=True, kw_only=True):
     rest: Vector
     lower: Vector
     upper: Vector
+    joint_weights: Vector
     wrists: tuple[PlaceModel, ...]
     palm: PlaceModel
     point_counts: Indices

@@ -78,6 +78,7 @@ class SavedHand:
         self.limits = frozen(np.array([own.lower, own.upper]))
         self.lower_limits, self.upper_limits = self.limits
         self.rest = own.rest
+        self.joint_weights = own.joint_weights
         self.spread = own.spread
         self.joint_columns = own.joint_columns
         self.q_indices = own.q_indices

@@ -11,9 +11,9 @@
 
 namespace handmap {
 
-// A point or pinch whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip,
-// 6 mm for a pinch of `teleoperation`.
-constexpr double kAway = 3.0;
+// A point or pinch whose weighted error is larger is away from its target [cost]: 20 mm for a fingertip,
+// 4 mm for a pinch of `teleoperation`.
+constexpr double kAway = 2.0;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
 // To look ahead: time of a sample [s], and their number, at most.

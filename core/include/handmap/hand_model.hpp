@@ -65,7 +65,7 @@ struct HandModel {
   Vector configuration;
   Indices moving_q;
   Matrix motion;
-  Vector shift, rest, lower, upper;
+  Vector shift, rest, lower, upper, joint_weights;
   std::vector<PlaceModel> wrists;
   PlaceModel palm;
   Indices point_counts, point_joints;
@@ -89,6 +89,7 @@ struct HandModel {
     visit("rest", rest);
     visit("lower", lower);
     visit("upper", upper);
+    visit("joint_weights", joint_weights);
     visit("wrists", wrists);
     visit("palm", palm);
     visit("point_counts", point_counts);
@@ -130,6 +131,7 @@ struct HandModel {
     expect_count("HandModel.upper", upper.size(), n);
     for (size_t j = 0; j < n; ++j)
       expect_that(lower[j] <= upper[j], "HandModel.lower", "limits that are not above the upper ones");
+    expect_count("HandModel.joint_weights", joint_weights.size(), n);
     expect_that(!wrists.empty(), "HandModel.wrists", "one at least");
     for (const PlaceModel& wrist : wrists)
       expect_below("HandModel.wrists: joint", {wrist.joint}, joint_count, -1);
@@ -199,6 +201,7 @@ inline Tree tree_of(HandModel model) {
   tree.joint_rest = std::move(model.rest);
   tree.lower = std::move(model.lower);
   tree.upper = std::move(model.upper);
+  tree.joint_weights = std::move(model.joint_weights);
   for (size_t k = 0; k < model.point_joints.size(); ++k)
     tree.points.push_back({model.point_joints[k], model.point_offsets[k]});
   tree.point_frames = std::move(model.point_frames);

@@ -267,8 +267,11 @@ class Ik : public Gate {
     H_.assign(n * n, 0.0);
     c_.assign(n, 0.0);
     diagonal_.assign(n, weights.damping * weights.damping);
-    for (size_t j = 0; j < goal.damping_shares.size(); ++j)
-      diagonal_[tree.joint_columns[j]] *= goal.damping_shares[j] * goal.damping_shares[j];
+    for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
+      const double share = goal.damping_shares.empty() ? 1.0 : goal.damping_shares[j];
+      const double weight = share * tree.joint_weights[j];
+      diagonal_[tree.joint_columns[j]] *= weight * weight;
+    }
     place_targets(goal);
     for (size_t i = 0; i < tree.parts.size(); ++i) {
       damp(add_points(tree.parts[i], is_carried(goal)));
@@ -277,7 +280,8 @@ class Ik : public Gate {
     for (const Posture& posture : goal.postures) {
       for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
         const int i = tree.joint_columns[j];
-        const double weight = posture.weight * (posture.shares.empty() ? 1.0 : posture.shares[j]);
+        const double share = posture.shares.empty() ? 1.0 : posture.shares[j];
+        const double weight = posture.weight * share * tree.joint_weights[j];
         const double weight2 = weight * weight;
         diagonal_[i] += weight2;
         c_[i] += weight2 * (at.q[tree.q_indices[j]] - posture.q[j]);

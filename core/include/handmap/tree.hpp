@@ -81,6 +81,7 @@ struct Tree {
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates
   Vector joint_rest, lower, upper;  // their positions at rest, and their limits
+  Vector joint_weights;             // what the motion of each costs, 1 for a finger's
 
   void finish() {
     supports.resize(joints.size());

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from handmap_core.se3 import lengths
-from handmap_qp.hands import Values
+from handmap_qp.hands import Values, are_prismatic
 from handmap_qp.mapping import arm_held_by
 from .trajectory import Trajectory, stretches
 
@@ -14,6 +14,8 @@ SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
 # A wrist this far from its target is out of reach [m], in more than this share of the samples.
 _WRIST_OFF, _LATE_SHARE = 0.02, 0.05
+# A waist that is at a limit in more than this share of the samples may make a robot fall.
+_BENT_SHARE = 0.05
 _NAMED_JOINTS = 3
 _NAMED_HOLDS = 5
 
@@ -28,7 +30,9 @@ def summarise(trajectory: Trajectory) -> Values:
     `speed_limited_joints` has the joints held most often, with share and limit [rad/s or m/s].
     `arm_out_of_reach` has the share of samples, what holds the arm in them (`arm_held_by`), the
     largest error, the extent of the motion and a scale to try (None for a robot with two hands), of
-    an arm that does not follow; None if it does.
+    an arm that does not follow; None if it does. `leaning` has joints that carry another limb too
+    (`Hand.carries_limbs`), such as a waist: how far each went from rest [rad or m], and the share
+    of the samples in which it was at a limit.
 
     What was written is judged by its own instants: `speed_over_limit_max` is the largest speed of a
     joint over its limit, `acceleration_max` the largest acceleration [rad/s^2 or m/s^2], and
@@ -72,6 +76,7 @@ def summarise(trajectory: Trajectory) -> Values:
             if shares[i] > 0.0
         ],
         "arm_out_of_reach": _arm(trajectory),
+        "leaning": _leaning(trajectory),
     }
     # Plain numbers, for every encoder.
     return msgspec.to_builtins(found, enc_hook=np.generic.item)
@@ -125,6 +130,17 @@ def notes(summary: Values) -> list[str]:
             f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
             f"the samples, held by {reasons}; {advice}"
         )
+    bent = [
+        f"{row['joint']} in {100.0 * row['at_limit_share']:.0f} %"
+        for row in summary["leaning"]
+        if row["at_limit_share"] > _BENT_SHARE
+    ]
+    if bent:
+        lines.append(
+            f"joints that carry the whole upper body were at a limit ({', '.join(bent)} of the "
+            "samples): a robot that stands may fall; reach less far (--scale), or give them "
+            "`joint_weights` or `limits` in robot.yaml or hand.yaml"
+        )
     return lines
 
 
@@ -156,6 +172,7 @@ def table_rows(summary: Values) -> dict[str, str]:
         "wrist error": f"{summary['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{summary['samples_at_limit']}",
         "samples held by a speed limit": f"{100.0 * summary['speed_limited_share']:.1f} %",
+        **_leaning_rows(summary),
         "largest limit violation": f"{summary['limit_violation_max']:.1e} rad",
         **_time_rows(summary),
     }
@@ -191,6 +208,38 @@ def _time_rows(summary: Values) -> dict[str, str]:
     if summary["acceleration_max"] is not None:
         rows["largest acceleration"] = f"{summary['acceleration_max']:.3g} per s^2"
     return rows
+
+
+def _leaning(trajectory: Trajectory) -> list[Values]:
+    """Measure how far joints that carry another limb went from rest; see `summarise`."""
+    robot = trajectory.robot
+    seen = trajectory.valid
+    away = np.abs(trajectory.q[seen] - robot.rest)
+    is_bent = trajectory.at_limit[seen]
+    slides = are_prismatic(robot)
+    return [
+        {
+            "joint": robot.joint_names[i],
+            "most": away[:, i].max(),
+            "at_limit_share": is_bent[:, i].mean(),
+            "is_angle": not slides[i],
+        }
+        for i in np.flatnonzero(robot.carries_limbs)
+    ]
+
+
+def _leaning_rows(summary: Values) -> dict[str, str]:
+    """Return how far a robot leans as text, by label; nothing for one that cannot."""
+    found = [
+        f"{row['joint']} by up to "
+        + (
+            f"{np.degrees(row['most']):.0f} deg"
+            if row["is_angle"]
+            else f"{1e3 * row['most']:.0f} mm"
+        )
+        for row in summary["leaning"]
+    ]
+    return {"leans": "; ".join(found)} if found else {}
 
 
 def _arm(trajectory: Trajectory) -> Values | None:

@@ -17,6 +17,7 @@ from handmap_qp.hands import (
     Hand,
     HumanLengths,
     all_pairs,
+    are_prismatic,
     find_fingers,
     load_hand,
     random_postures,
@@ -216,7 +217,8 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
     """Move a person's hand by 5 cm in six directions, and measure where an arm takes the robot's.
 
     The table has for each direction the robot's nearest one, the angle between both [deg], and how
-    far the robot's hand goes in its world [mm]. There is none without an arm.
+    far the robot's hand goes in its world [mm]; with a waist, how far its joints go [deg, or mm of
+    one that slides]. There is none without an arm.
 
     Args:
         hand: The robot hand.
@@ -226,6 +228,7 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
     if turn is None:
         return
     mapper = _mapper(hand, alignment=turn)
+    units = np.where(are_prismatic(hand), 1e3, np.degrees(1.0))
     start = hand.frame_pose("palm", hand.rest)[:3, 3]
     rows = []
     for name, way in zip(_WAYS, [*np.eye(3), *-np.eye(3)], strict=True):
@@ -237,13 +240,15 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
         nearest = _WAYS[np.argmax([*seen, *-seen])] if seen.any() else "nowhere"
         direction = f"hand {name} -> robot {nearest}"
         off = round(angle_between(seen, way), 1)
-        rows.append(
-            {
-                "direction": direction,
-                "degrees off": off,
-                "robot moved, mm": [*map(round, moved)],
-            }
-        )
+        row = {
+            "direction": direction,
+            "degrees off": off,
+            "robot moved, mm": [*map(round, moved)],
+        }
+        if hand.carries_limbs.any():
+            bent = (units * (q - hand.rest))[hand.carries_limbs]
+            row["waist moved"] = [*map(round, bent)]
+        rows.append(row)
         if off > _ASTRAY or lengths(moved) < _SHORT:
             far = f"{off:.0f} degrees off and {lengths(moved):.0f} of 50 mm"
             yield advice("reach", f"{direction}, {far}: the arm cannot go there")

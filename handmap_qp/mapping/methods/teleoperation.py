@@ -66,12 +66,13 @@ _THUMB_EXTENSION = 1.0, 0.5
 _CONTACT_SLOPE = 0.25
 _CONTACT_FROM = 0.018
 _CONTACT_MOST = 0.005
-# Distances of the thumb's tip from all bones of the other fingers from which on it is open, and over
-# which it comes to be wholly open [m].
+# Distances of the thumb's tip from all bones of the other fingers from which on it is open, and
+# over which it comes to be wholly open [m].
 _OPEN_FROM = 0.050
 _OPEN_OVER = 0.040
-# Gaps of thumb and finger at which the rest posture begins to become that of the pinch, and over which
-# it does [m]: from farther away than the pinch row, so that joints turn before pads are in the way.
+# Gaps of thumb and finger at which the rest posture begins to become that of the pinch, and over
+# which it does [m]: from farther away than the pinch row, so that joints turn before pads are in
+# the way.
 _REST_FROM = 0.100
 _REST_OVER = 0.080
 # Least margin between thumb and finger [m].
