@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import shared_hands
-from gesture_tours import RATE, map_tour, read_poses, stream
+from gesture_tours import RATE, Pose, map_tour, read_held_back, read_poses, stream
 from peers.results import run_peer
 
 from handmap_qp import Recording
@@ -30,11 +30,10 @@ METHODS = ("teleoperation", "dex-vector", "dex-dexpilot")
 _ROWS = 5
 
 
-def draw(folder: Path, robots: list[str], seed: int) -> None:
+def draw(folder: Path, robots: list[str], seed: int, poses: list[Pose]) -> None:
     """Write the sheets of every robot, and the key."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
-    poses = read_poses()
     order = rng.permutation(len(poses)).tolist()
     landmarks = np.array(list(stream(poses, order)))
     seen = np.ones(len(landmarks), dtype=bool)
@@ -94,12 +93,16 @@ def main() -> None:
     drawn.add_argument("folder", type=Path)
     drawn.add_argument("--robots", nargs="+", default=["allegro_right", "leap_right"])
     drawn.add_argument("--seed", type=int, default=7)
+    drawn.add_argument(
+        "--held-back", action="store_true", help="poses that nothing was tuned on"
+    )
     scored = commands.add_parser("score", help="count the first places")
     scored.add_argument("folder", type=Path)
     scored.add_argument("answers", type=Path)
     given = parser.parse_args()
     if given.command == "draw":
-        draw(given.folder, given.robots, given.seed)
+        poses = read_held_back() if given.held_back else read_poses()
+        draw(given.folder, given.robots, given.seed, poses)
     else:
         score(given.folder, given.answers)
 

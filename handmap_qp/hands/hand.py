@@ -312,7 +312,7 @@ class Hand:
             frame = model.frames[frame].parentFrame
         for name, role in zip(self.all_joint_names, self.all_joint_roles, strict=True):
             if role == "locked":
-                locked = model.getFrameId(name)
+                locked = model.getFrameId(name, pin.FrameType.FIXED_JOINT)
                 if locked not in before:
                     yield model.frames[locked].parentJoint
 

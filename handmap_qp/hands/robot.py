@@ -163,7 +163,12 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         _stand(whole, spec, prefix, *place)
         arm = spec.arm.rest if spec.arm else {}
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
-        weights |= {f"{prefix}{name}": at for name, at in spec.joint_weights.items()}
+        given = spec.joint_weights
+        if len(sides) == 1 and spec.locked:
+            # What is locked has no joint in the robot's URDF, so its limbs are found here.
+            alone = Hand(spec)
+            given = dict(zip(alone.joint_names, alone.joint_weights, strict=True))
+        weights |= {f"{prefix}{name}": float(at) for name, at in given.items()}
         prefixes |= dict.fromkeys(sides, prefix)
     for joint in sorted(robot.joint_weights.keys() - rest.keys()):
         problem = f"{joint!r} is not one of the robot's joints"

@@ -27,7 +27,7 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 Positions = dict[str, float]
 """Positions of joints by name [rad or m]."""
 Positive = Annotated[float, Meta(gt=0.0)]
-Weights = dict[str, Positive]
+Weights = dict[str, Annotated[float, Meta(ge=1e-4, le=1e4)]]
 """Weights of joints by name."""
 Upright = Annotated[str, Meta(pattern=UPRIGHT)]
 """Axes of a world that are up and forward, such as `+y up, -z forward`."""

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from call_counts import count_calls
+from mapping_cases import pinched
 from marks import rotated
 from verdict_cases import streams
 
@@ -237,6 +238,20 @@ def test_looking_for_another_way_takes_few_qps() -> None:
         costs.append(ik.costs)
     assert np.mean(np.diff(costs)) < 2.6
     assert np.diff(costs).max() < 60
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "hey5"])
+def test_a_pinch_that_is_held_looks_for_no_other_way(name: str) -> None:
+    mapper = HandMapper(load_hand("human", points="landmarks"), load_hand(name))
+    q = pinched("index", 0.010)
+    for _ in range(60):
+        mapper.map_step(q, np.eye(4), dt=1 / 60)
+    ik = mapper.point_ik.core
+    before = ik.costs
+    iterations = sum(
+        mapper.map_step(q, np.eye(4), dt=1 / 60).iterations for _ in range(300)
+    )
+    assert ik.costs - before <= iterations
 
 
 def test_a_sample_with_a_grip(

@@ -71,6 +71,12 @@ def test_a_model_of_two_hands_is_one_for_all_references() -> None:
         ({"finger_of": BOUND.model.finger_of - 1}, "finger_of: expected indices below"),
         ({"pinch_pairs": BOUND.model.pinch_pairs + 9999}, "pinch_pairs: expected"),
         ({"pinch_of_pair": BOUND.model.pinch_of_pair + 9}, "pinch_of_pair: expected"),
+        ({"open_over": 0.0}, "open_over: expected a length above 0"),
+        ({"rest_over": 0.0}, "rest_over: expected a length above 0"),
+        (
+            {"bone_starts": np.zeros(0, int), "bone_ends": np.zeros(0, int)},
+            "bone_starts: expected bones of the fingers",
+        ),
         ({"bone_ends": BOUND.model.bone_ends[1:]}, "bone_ends: expected 9 of them"),
         (
             {"bone_starts": BOUND.model.bone_starts + 20},

@@ -58,7 +58,7 @@ def test_a_heavy_joint_stands_still() -> None:
     assert bent < 1e-3
 
 
-def test_what_carries_another_limb_is_a_waist(tmp_path: Path) -> None:
+def test_what_carries_another_limb_is_a_waist() -> None:
     robot = load_robot("g1")
     found = {
         name
@@ -91,6 +91,7 @@ def test_a_description_says_weights() -> None:
         ({"absent": 2.0}, "'absent' is not one of `joints`"),
         ({"joint_0": 0.0}, "joint_weights"),
         ({"joint_0": -1.0}, "joint_weights"),
+        ({"joint_0": 1e200}, "joint_weights"),
         ({"joint_0": "heavy"}, "joint_weights"),
     ],
 )
@@ -107,6 +108,38 @@ def test_wrong_weights_are_one_line(
         load_hand(file)
     assert caught.value.file == file
     assert "\n" not in str(caught.value)
+
+
+def test_a_robot_with_one_hand_has_its_waist(tmp_path: Path) -> None:
+    left = robot_files()["g1"].parent / "left.yaml"
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"name: half\nhands: {{left: {{hand: {left}}}}}\n", encoding="utf-8"
+    )
+    robot = load_robot(file)
+    is_waist = np.isin(robot.joint_names, [*WAIST])
+    np.testing.assert_array_equal(robot.joint_weights > 10.0, is_waist)
+
+
+def test_a_robots_weight_overrules_those_of_its_hands(tmp_path: Path) -> None:
+    files = {}
+    for side in ("left", "right"):
+        content = yaml.safe_load(
+            (robot_files()["g1"].parent / f"{side}.yaml").read_text(encoding="utf-8")
+        )
+        content["joint_weights"] = {"waist_yaw_joint": 3.0, "waist_roll_joint": 4.0}
+        files[side] = tmp_path / f"{side}.yaml"
+        files[side].write_text(yaml.safe_dump(content), encoding="utf-8")
+    file = tmp_path / "robot.yaml"
+    hands = "{left: {hand: left.yaml}, right: {hand: right.yaml}}"
+    weights = "{waist_roll_joint: 7.0}"
+    file.write_text(
+        f"name: two\nhands: {hands}\njoint_weights: {weights}\n", encoding="utf-8"
+    )
+    robot = load_robot(file)
+    by_name = dict(zip(robot.joint_names, robot.joint_weights.tolist(), strict=True))
+    assert by_name["waist_yaw_joint"] == 3.0
+    assert by_name["waist_roll_joint"] == 7.0
 
 
 def test_a_robots_wrong_weight_names_its_own_file() -> None:

@@ -57,8 +57,8 @@ class IkOptions(Options, frozen=True):
             omitted.
         avoids_self_collision: Whether the pairs of links that the hand's `collision` names are kept
             apart.
-        takes_detours: Whether a hand whose points stay away from their targets looks for a way
-            round, by another posture.
+        takes_detours: Whether a hand whose points stay away from their targets, or whose pinches
+            stay open, looks for a way round, by another posture.
         points_follow_wrist: Whether the points' targets go with the robot's own wrist where that is
             not at its target, so that the fingers do the same wherever an arm ends.
         tasks: Further terms of the cost by name, of other packages (`handmap_qp.tasks`).

@@ -118,7 +118,8 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
         contact_slope: Rise of a pinch's margin with the gap of thumb and finger.
         contact_from: Gap at which it rises [m].
         contact_most: Largest rise [m].
-        bone_starts: Where each bone of the person's fingers but the thumb begins, shape (b,).
+        bone_starts: Where each bone of the person begins, of fingers that both hands have but the
+            thumb, shape (b,).
         bone_ends: Where it ends, shape (b,).
         open_from: Distance of the thumb's tip from all bones from which on it is open [m].
         open_over: How much farther it is wholly open [m].

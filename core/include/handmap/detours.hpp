@@ -12,8 +12,10 @@
 namespace handmap {
 
 // A point or pinch whose weighted error is larger is away from its target [cost]: 20 mm for a fingertip,
-// 4 mm for a pinch of `teleoperation`.
+// 4 mm for a pinch of `teleoperation` at its full weight.
 constexpr double kAway = 2.0;
+// Pads that meet are this far above what their row asks for, which is an overlap [m].
+constexpr double kPressed = 0.004;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
 // To look ahead: time of a sample [s], and their number, at most.
@@ -53,7 +55,10 @@ class Detours {
              Result& result) {
     const double dt = ik_.motion.next(when).granted;
     detour_.wait -= dt;
-    if (!detour_.via.empty() && moved_by(goal) > kMoved) detour_.via.clear();
+    if (!detour_.via.empty() && moved_by(goal) > kMoved) {
+      detour_.via.clear();
+      detour_.known.clear();
+    }
     if (!detour_.via.empty()) {
       solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
       const bool is_late = detour_.left < dt;
@@ -61,7 +66,7 @@ class Detours {
       if (is_at(detour_.via))
         detour_ = {{}, {}, {}, 0.0, kAgain};
       else if (is_late)
-        detour_ = {{}, {}, errors(goal, result), 0.0, kLater};
+        detour_ = {{}, {}, detour_.known, 0.0, kLater};
       return;
     }
     solve_with_detours(ik_, index_, goal, when, margins, speed, result);
@@ -93,7 +98,7 @@ class Detours {
       return;
     }
     const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
-    detour_ = {is_direct ? found.joints : rest, goal.points, {}, kLongest * kSample, 0.0};
+    detour_ = {is_direct ? found.joints : rest, goal.points, here, kLongest * kSample, 0.0};
   }
 
   // Where the hand ends.
@@ -176,6 +181,12 @@ class Detours {
     return false;
   }
 
+  // Whether a joint is another one, or carries it.
+  bool carries(int joint, int other) const {
+    while (other > joint) other = ik_.tree.joints[other].parent;
+    return other == joint;
+  }
+
   // Call with both ends of each distance between two fingers of this hand, its aim and its weight.
   template <class Call>
   void for_pinches(const Goal& goal, const Call& call) const {
@@ -186,6 +197,8 @@ class Detours {
       for (size_t k = 0; k < aimed.weights.size(); ++k) {
         const Attached& a = aimed.task->points[aimed.task->first[k]];
         const Attached& b = aimed.task->points[aimed.task->second[k]];
+        // Along one finger, a joint carries the other: that is its extension.
+        if (carries(a.joint, b.joint) || carries(b.joint, a.joint)) continue;
         if (is_of_finger(a) && is_of_finger(b)) call(a, b, aimed.aims[k], aimed.weights[k]);
       }
   }
@@ -203,7 +216,7 @@ class Detours {
       found.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
     for_pinches(goal, [&](const Attached& a, const Attached& b, double aim, double weight) {
       const double gap = norm(ik_.at.point(a) - ik_.at.point(b));
-      found.push_back(weight / kLengthUnit * std::max(gap - aim, 0.0));
+      found.push_back(weight / kLengthUnit * std::max(gap - aim - kPressed, 0.0));
     });
     return found;
   }

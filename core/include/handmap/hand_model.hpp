@@ -8,6 +8,9 @@
 
 namespace handmap {
 
+// Squares of larger weights drown all other costs in rounding.
+constexpr double kMostJointWeight = 1e4;
+
 struct JointModel {
   static constexpr const char* kName = "JointModel";
   std::string kind;
@@ -132,6 +135,9 @@ struct HandModel {
     for (size_t j = 0; j < n; ++j)
       expect_that(lower[j] <= upper[j], "HandModel.lower", "limits that are not above the upper ones");
     expect_count("HandModel.joint_weights", joint_weights.size(), n);
+    for (const double weight : joint_weights)
+      expect_that(weight > 0.0 && weight <= kMostJointWeight, "HandModel.joint_weights",
+                  "numbers above 0, and not above 10000");
     expect_that(!wrists.empty(), "HandModel.wrists", "one at least");
     for (const PlaceModel& wrist : wrists)
       expect_below("HandModel.wrists: joint", {wrist.joint}, joint_count, -1);

@@ -52,7 +52,7 @@ struct Goal {
 struct Detour {
   Vector via = {};                // posture that they pass; none in most samples
   std::vector<Vec3> points = {};  // targets for which it was found
-  Vector known = {};              // errors of the hand where none was found, or one ended late [cost]
+  Vector known = {};              // errors of the hand where it, or none, was found [cost]
   double left = 0.0;              // time left to reach it [s]
   double wait = 0.0;              // time until it may look ahead again [s]
 };

@@ -196,6 +196,10 @@ struct TeleoperationModel {
     const size_t pinches = from_points.size() - human_reach.size();
     expect_that(pinches == 0 || !human_reach.empty(), "TeleoperationModel.human_reach",
                 "that of the thumb, which pinches");
+    expect_that(pinches == 0 || !bone_starts.empty(), "TeleoperationModel.bone_starts",
+                "bones of the fingers that the thumb pinches with");
+    expect_that(open_over > 0.0, "TeleoperationModel.open_over", "a length above 0");
+    expect_that(rest_over > 0.0, "TeleoperationModel.rest_over", "a length above 0");
     expect_that(pinch_rests.rows == pinches && (pinches == 0 || pinch_rests.columns == rest.size()),
                 "TeleoperationModel.pinch_rests", "a posture of each pinch");
     expect_count("TeleoperationModel.pinch_margins", pinch_margins.size(), pinch_pairs.size());

@@ -102,7 +102,7 @@ def find_holds(trajectory: Trajectory) -> list[Values]:
 
 
 def notes(summary: Values) -> list[str]:
-    """Return a line if speed limits, and one if a short arm, kept the robot from following."""
+    """Return a line each if speed limits or a short arm held the robot, or its waist was bent."""
     lines = []
     share = summary["speed_limited_share"]
     if share > SLOW_SHARE:
@@ -137,9 +137,9 @@ def notes(summary: Values) -> list[str]:
     ]
     if bent:
         lines.append(
-            f"joints that carry the whole upper body were at a limit ({', '.join(bent)} of the "
-            "samples): a robot that stands may fall; reach less far (--scale), or give them "
-            "`joint_weights` or `limits` in robot.yaml or hand.yaml"
+            f"joints that carry another limb too were at a limit ({', '.join(bent)} of the "
+            "samples): with a bent waist, a robot that stands may fall; reach less far (--scale), "
+            "or give them `joint_weights` in robot.yaml or hand.yaml"
         )
     return lines
 
