@@ -10,7 +10,8 @@ the person's. *read* is the share of poses that the reader, who has seen people 
 *still* counts samples in which the person moves, and no joint of the robot does. `start` maps one
 recording from 20 cuts: the share of samples whose joints differ by more than 5 degrees, a second
 later, from those of the whole recording. An *open* thumb's tip is 50 mm and more from all bones of
-the other fingers; *visible* is its part from the MCP joint to the tip.
+the other fingers; *visible* is its part from the MCP joint to the tip. *kink* is how much more an
+index or middle finger bends than the person's that is straight (95th percentile).
 
 `--held-back` has poses that no mapping was tuned on (`tests/data/held_back`), without a reader.
 """
@@ -32,6 +33,7 @@ from gesture_tours import (
     CAUGHT,
     Pose,
     compare,
+    extensions,
     map_tour,
     read_held_back,
     read_poses,
@@ -54,6 +56,8 @@ ROBOTS = ("allegro_right", "leap_right", "shadow_right", "wuji_right", "orca_rig
 _CUTS, _LATER, _APART = 20, 1.0, 5.0
 _OPEN = 0.05
 """Distance from all fingers at which a thumb is open [m]."""
+_STRAIGHT = 0.97
+"""Share of its reach at which a person's finger is straight."""
 
 
 def measure(
@@ -67,6 +71,12 @@ def measure(
     lengths = HumanLengths.from_hand_length(0.19)
     own = trace_robot(robot, q, wrist)
     errors = compare(trace_human(shown, lengths), own)
+    kinks = [
+        errors.bend[straight, errors.names.index(finger)]
+        for finger in ("index", "middle")
+        if finger in errors.names
+        for straight in [extensions(shown)[:, FINGERS.index(finger) - 1] > _STRAIGHT]
+    ]
     is_thumb = np.array([finger == "thumb" for finger in errors.names])
     others = np.array([finger in FINGERS[1:4] for finger in errors.names])
     thumb = errors.direction[:, is_thumb].ravel()
@@ -96,6 +106,7 @@ def measure(
         "last bone": np.median(last),
         "open, visible": np.median(visible),
         "open, last bone": np.median(last[is_open]),
+        "kink": np.percentile(np.concatenate(kinks), 95),
         "worst finger": np.median(worst),
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),

@@ -165,6 +165,17 @@ def thumb_away(landmarks: np.ndarray) -> np.ndarray:
     return np.linalg.norm(tip - nearest, axis=2).min(axis=1)
 
 
+def extensions(landmarks: np.ndarray) -> np.ndarray:
+    """Return the distance from knuckle to tip of four fingers, over their bones, shape (T, 4).
+
+    Args:
+        landmarks: Shape (T, 21, 3).
+    """
+    fingers = landmarks[:, 5:].reshape(len(landmarks), 4, 4, 3)
+    bones = np.linalg.norm(np.diff(fingers, axis=2), axis=3).sum(axis=2)
+    return np.linalg.norm(fingers[:, :, 3] - fingers[:, :, 0], axis=2) / bones
+
+
 def thumb_errors(robot: Hand, q: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     """Return the angle between the parts of both thumbs that people see [deg], shape (T,).
 
