@@ -71,12 +71,13 @@ def measure(
     lengths = HumanLengths.from_hand_length(0.19)
     own = trace_robot(robot, q, wrist)
     errors = compare(trace_human(shown, lengths), own)
+    is_straight = extensions(shown) > _STRAIGHT
     kinks = [
-        errors.bend[straight, errors.names.index(finger)]
-        for finger in ("index", "middle")
-        if finger in errors.names
-        for straight in [extensions(shown)[:, FINGERS.index(finger) - 1] > _STRAIGHT]
+        errors.bend[is_straight[:, FINGERS.index(finger) - 1], column]
+        for column, finger in enumerate(errors.names)
+        if finger in ("index", "middle")
     ]
+    kink = np.concatenate(kinks) if kinks else np.zeros(0)
     is_thumb = np.array([finger == "thumb" for finger in errors.names])
     others = np.array([finger in FINGERS[1:4] for finger in errors.names])
     thumb = errors.direction[:, is_thumb].ravel()
@@ -106,7 +107,7 @@ def measure(
         "last bone": np.median(last),
         "open, visible": np.median(visible),
         "open, last bone": np.median(last[is_open]),
-        "kink": np.percentile(np.concatenate(kinks), 95),
+        "kink": np.percentile(kink, 95) if len(kink) else float("nan"),
         "worst finger": np.median(worst),
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),
