@@ -135,6 +135,7 @@ def pinch_shares(model: TeleoperationModel, gaps: Array) -> Array:
 
 def _smooth(share: Array) -> Array:
     """Go from 0 at 0 to 1 at 1 with no slope at either end."""
+    # Written here as well: `se3.smoothstep` is the core's, which this is to be compared with.
     x = np.clip(share, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
 
