@@ -42,6 +42,7 @@ from .contact_gap import (
 from .fit import HumanMotion, LandmarkFitter, fit_recording
 from .measure import check_length, measure_hand, scaled_human
 from .person import Person, read_person, write_person
+from .postures import standard_postures
 
 __all__ = [
     "FIRST_JOINTS",
@@ -83,6 +84,7 @@ __all__ = [
     "sample_columns",
     "scaled_human",
     "smallest_gap",
+    "standard_postures",
     "tip_gaps",
     "turned",
     "upright_axes",

@@ -31,6 +31,7 @@ from handmap_core.mapping.targets import (
     core_pose,
 )
 from .alignment import AlignedOptions, find_alignment
+from .fist_time import PERSON_FIST_TIME, FistTime, fist_time, slow_note
 from .hand_mapper import HandMapper
 from .hand_pair import (
     KNUCKLES,
@@ -78,6 +79,7 @@ __all__ = [
     "IK_NAMES",
     "KINDS",
     "KNUCKLES",
+    "PERSON_FIST_TIME",
     "PRESETS",
     "AlignedOptions",
     "AnyPose",
@@ -85,6 +87,7 @@ __all__ = [
     "Choice",
     "CoreMap",
     "Cylinder",
+    "FistTime",
     "HandMapper",
     "HandPair",
     "HandRequest",
@@ -127,6 +130,7 @@ __all__ = [
     "distance",
     "distances_to",
     "find_alignment",
+    "fist_time",
     "gap_task",
     "geometry_of",
     "get_preset",
@@ -148,6 +152,7 @@ __all__ = [
     "robot_fingers",
     "rotation_of",
     "rotation_onto",
+    "slow_note",
     "surface",
     "touching_distances",
 ]

@@ -27,7 +27,6 @@ from handmap_qp.apps.onboarding.findings import Found, HandReport
 from handmap_qp.apps.onboarding.measure import (
     check_reach,
     check_size,
-    standard_postures,
 )
 from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
 from handmap_qp.apps.onboarding.write import (
@@ -39,6 +38,7 @@ from handmap_qp.apps.onboarding.write import (
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
+from handmap_qp.human import standard_postures
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

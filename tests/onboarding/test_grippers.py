@@ -13,11 +13,11 @@ import pytest
 from handmap_core.ik.tasks import PointDistances
 from handmap_qp import HandMapper
 from handmap_qp.apps.onboarding.detect import detect
-from handmap_qp.apps.onboarding.measure import standard_postures
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.errors import HandError
 from handmap_qp.hands import load_hand
 from handmap_qp.hands.mjcf import ConvertedMjcf
+from handmap_qp.human import standard_postures
 
 RADIANS = '<compiler angle="radian"/>'
 # A joint within the coupler gives each loop a second degree of freedom.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_core.se3 import Array, Arrays, affine, lengths, unit
+from handmap_core.se3 import Array, affine, lengths, unit
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.apps.tables import rows_of, table_rows
@@ -22,10 +22,12 @@ from handmap_qp.hands import (
     load_hand,
     random_postures,
 )
-from handmap_qp.human import human_name, upright_axes
+from handmap_qp.human import human_name, standard_postures, upright_axes
 from handmap_qp.mapping import (
+    PERSON_FIST_TIME,
     HandMapper,
     MapStep,
+    fist_time,
     points_in_palm,
     robot_fingers,
     rotation_onto,
@@ -59,8 +61,6 @@ _WAYS = ("forward", "left", "up", "back", "right", "down")
 _ASTRAY = 30.0
 # So is a shorter way for one of 50 mm [mm].
 _SHORT = 25.0
-# Last joints flex by this share of the others' angle, the thumb's to the other side.
-_SHARES = np.array([(1.0, 1.0, -0.6), *4 * [(1.0, 1.0, 0.8)]])
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
 # A hand whose joints are this fast is not slow [rad/s]; slower ones cost more than this.
@@ -342,6 +342,38 @@ def check_following(hand: Hand) -> Found:
         yield fine("limits", what)
 
 
+def check_fist_time(hand: Hand) -> Found:
+    """Say how long the hand takes from a flat hand to a fist, and whether a person is faster.
+
+    The table has the slowest joint of each finger, and its time [s].
+    """
+    human = load_hand(human_name(hand.side))
+    found = fist_time(human, hand)
+    rows = []
+    for name, finger in find_fingers(hand).items():
+        if len(finger.columns):
+            times = found.joint_times[finger.columns]
+            slowest = int(np.argmax(times))
+            joint = hand.joint_names[finger.columns[slowest]]
+            rows.append(
+                {"finger": name, "slowest joint": joint, "s": round(times[slowest], 2)}
+            )
+    yield "From a flat hand to a fist", rows
+    key = f"limits.{found.joint}"
+    speeds = "speed limits, which are assumed" if found.is_assumed else "speed limits"
+    what = f"takes {found.time:.2f} s from a flat hand to a fist at its {speeds}"
+    if not found.is_slow:
+        yield fine(key, what)
+        return
+    what += (
+        f": a person is faster, in {PERSON_FIST_TIME:.2g} s or less in 95 % of closings, and the "
+        "robot's fingers follow late"
+    )
+    is_sure = hand.spec.speeds == "maker"
+    change = "move more slowly" + ("" if is_sure else ", or give true limits")
+    yield advice(key, what, change)
+
+
 def _tour(mapper: HandMapper) -> list[MapStep]:
     """Map gestures, two from rest each time: spread, any fingers bent, each at the thumb."""
     flat, spread, fist, *_ = standard_postures(mapper.human).values()
@@ -352,27 +384,6 @@ def _tour(mapper: HandMapper) -> list[MapStep]:
     postures = np.vstack([spread, flat + bends.repeat(4, axis=1) * (fist - flat)])
     pairs = postures.reshape(-1, 2, len(flat))
     return [step for pair in pairs for step in _follow(mapper, *pair)]
-
-
-def standard_postures(human: Hand) -> Arrays:
-    """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
-
-    def posture(*flexions: float, spread: float = 1.0) -> Array:
-        """Flex fingers from the thumb onwards; the others rest."""
-        # Each finger has four joints, of which the first abducts it.
-        q = human.rest.reshape(-1, 4).copy()
-        q[1:, 0] *= spread
-        for i, flexion in enumerate(flexions):
-            q[i, 1:] = flexion * _SHARES[i]
-        return np.clip(q.ravel(), *human.limits)
-
-    return {
-        "flat hand": posture(0.1, 0.05, 0.05, 0.05, 0.05),
-        "spread": posture(0.0, 0.05, 0.05, 0.05, 0.05, spread=3.0),
-        "fist": posture(0.7, 1.4, 1.4, 1.4, 1.4),
-        "pointing": posture(0.7, 0.05, 1.4, 1.4, 1.4),
-        "pinch": posture(0.6, 0.9),
-    }
 
 
 def check_fist(hand: Hand) -> Found:
