@@ -39,6 +39,7 @@ from handmap_qp.apps.onboarding.measure import (
     check_arm,
     check_contacts,
     check_fist,
+    check_fist_time,
     check_following,
     check_motion,
     check_pinches,
@@ -243,6 +244,35 @@ def test_slow_joints_follow_less() -> None:
     (whole,) = found_by(check_following(load_hand(spec))).findings
     assert whole.level == "fine"
     assert f"follows {fast} of your fingers" in whole.text
+
+
+@pytest.mark.parametrize(
+    ("name", "is_slow"),
+    [
+        ("svh_right", True),
+        ("inspire_right", True),
+        ("shadow_right", False),
+        ("allegro_right", False),
+    ],
+)
+def test_the_time_for_a_fist_is_said_and_a_person_is_faster_than_some(
+    name: str, is_slow: bool
+) -> None:
+    hand = load_hand(name)
+    report = found_by(check_fist_time(hand))
+    (finding,) = report.findings
+    assert ("a person is faster" in finding.text) == is_slow
+    assert finding.level == ("advice" if is_slow else "fine")
+    assert ("assumed" in finding.text) == (hand.spec.speeds == "assumed")
+    (time,) = re.findall(r"takes ([\d.]+) s from a flat hand to a fist", finding.text)
+    (rows,) = report.measured.values()
+    by_joint = {f"limits.{row['slowest joint']}": row["s"] for row in rows}
+    assert by_joint[finding.key] == max(by_joint.values())
+    assert by_joint[finding.key] == pytest.approx(float(time), abs=0.01)
+    # The makers' figures are true: nothing is left to correct.
+    known = load_hand(msgspec.structs.replace(hand.spec, speeds="maker"))
+    (finding,) = found_by(check_fist_time(known)).findings
+    assert "true limits" not in finding.change
 
 
 def test_a_joint_that_is_faster_stays_so() -> None:

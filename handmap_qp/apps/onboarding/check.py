@@ -44,6 +44,7 @@ from .measure import (
     check_contacts,
     check_directions,
     check_fist,
+    check_fist_time,
     check_following,
     check_motion,
     check_pinches,
@@ -429,4 +430,10 @@ _CHECKS = (
     check_size,
     check_arm,
 )
-_MOTIONS = (check_contacts, check_following, check_motion, check_directions)
+_MOTIONS = (
+    check_contacts,
+    check_fist_time,
+    check_following,
+    check_motion,
+    check_directions,
+)
