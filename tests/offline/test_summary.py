@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -10,10 +11,16 @@ import pytest
 
 from handmap_core.human.recording import Recording
 from handmap_qp import HandMapper, IkOptions, load_hand
-from handmap_qp.apps.offline.summary import notes, summarise, table_rows
+from handmap_qp.apps.offline.summary import (
+    compare_closing,
+    notes,
+    summarise,
+    table_rows,
+)
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import LimitSpec
+from handmap_qp.human import standard_postures
 
 HUMAN = load_hand("human", points="landmarks")
 
@@ -79,6 +86,41 @@ def test_a_large_share_is_one_line_with_joint_and_limit(
         worst = summary["speed_limited_joints"][0]
         assert f"{worst['joint']} (0.3 per s)" in note
         assert "hand.yaml" in note
+
+
+@pytest.mark.parametrize("speeds", [None, "assumed"])
+def test_a_hand_slower_than_this_person_is_one_line_with_both_times(
+    speeds: Literal["assumed"] | None,
+) -> None:
+    postures = standard_postures(HUMAN)
+    flat, fist = postures["flat hand"], postures["fist"]
+    shares = np.clip(np.linspace(-1.0, 2.0, 91), 0.0, 1.0)  # 1 s of 3 s, at 30 Hz
+    landmarks = np.array([HUMAN.points(flat + x * (fist - flat)) for x in shares])
+    seen = np.ones(91, dtype=bool)
+    person = Recording("closing", np.arange(91) / 30.0, landmarks, seen, "right")
+    spec = load_hand("three_finger").spec
+    summary = summarise(mapped(0.3))
+    found = {}
+    for speed in (0.3, 10.0):
+        limits = {joint: LimitSpec(velocity=speed) for joint in spec.joints}
+        changed = msgspec.structs.replace(spec, limits=limits, speeds=speeds)
+        robot = load_hand(changed)
+        closing = compare_closing(HUMAN, robot, [person])
+        assert closing is not None
+        assert closing["closings"] == 4
+        assert closing["person_s"] == pytest.approx(1.0, rel=0.05)
+        found[speed] = closing
+        (line,) = notes(summary | {"closing": closing})
+        is_slower = closing["robot_s"] > closing["person_s"]
+        assert ("follows late" in line) == is_slower == (speed == 0.3)
+        # The share and the joints are said in both cases.
+        assert f"{100.0 * summary['speed_limited_share']:.0f} % of the samples" in line
+        assert ("assumed speed limits" in line) == (is_slower and speeds is not None)
+    rare = summary | {"speed_limited_share": 0.01}
+    assert len(notes(rare | {"closing": found[0.3]})) == 1
+    assert notes(rare | {"closing": found[10.0]}) == notes(rare) == []
+    still = replace(person, landmarks=np.repeat(landmarks[:1], 91, axis=0))
+    assert compare_closing(HUMAN, robot, [still]) is None
 
 
 def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:

@@ -1,6 +1,7 @@
 """The commands `handmap retarget`, `handmap align` and `handmap calibrate`."""
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -8,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from handmap_core.errors import expect, warn
+from handmap_core.errors import HandmapError, expect, warn
 from handmap_qp.apps.arguments import (
     InputArguments,
     InputFlags,
@@ -21,14 +22,14 @@ from handmap_qp.apps.arguments import (
     read_robot,
 )
 from handmap_qp.apps.tables import print_result, print_rows, progress
-from handmap_qp.hands import Hand, Values
-from handmap_qp.human import PALM, Recording, write_person
+from handmap_qp.hands import Hand, Values, joined
+from handmap_qp.human import PALM, Person, Recording, scaled_human, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
 from .inputs import describe_input, input_notes, input_rows
-from .summary import notes, summarise, table_rows
+from .summary import compare_closing, notes, summarise, table_rows
 from .trajectory import map_hands
 
 _TOUCHES = "teleoperation of one hand, with a wrist that moves, at scale 1"
@@ -149,14 +150,30 @@ class Retarget:
         if trajectory.object_pose is None and any(each.object_shape for each in used):
             warn(f"{robot.name} is mapped without the object: {_TOUCHES} touches it")
         save_npz(out, trajectory.all_columns)
+        summary = summarise(trajectory)
         return {
             "recording": " and ".join(each.name for each in used),
-            **summarise(trajectory),
+            **summary,
+            "closing": self._closing(robot, used, person)
+            if summary["speed_limited_joints"]
+            else None,
             "robot": robot.name,
             "inputs": [describe_input(recording) for recording in used],
             "alignment": getattr(method, "alignment", None),
             "out": str(out),
         }
+
+    def _closing(
+        self, robot: Hand, used: list[Recording], person: Person
+    ) -> Values | None:
+        """Compare how long robot and person take for a fist, where that can be measured."""
+        points = self.arguments.human_points
+        humans = [
+            scaled_human(each, points=points, lengths=person.lengths) for each in used
+        ]
+        with suppress(HandmapError):
+            return compare_closing(joined("human", *humans), robot, used)
+        return None
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,16 @@
 """Holds and summary numbers of a mapped motion, printed by `handmap retarget`."""
 
 from collections import Counter
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 
 from handmap_core.se3 import lengths
-from handmap_qp.hands import Values, are_prismatic
-from handmap_qp.mapping import arm_held_by
+from handmap_qp.hands import Hand, Values, are_prismatic
+from handmap_qp.human import Recording
+from handmap_qp.mapping import arm_held_by, fist_time
+from .closings import closing_times
 from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
@@ -101,20 +104,44 @@ def find_holds(trajectory: Trajectory) -> list[Values]:
     ]
 
 
+def compare_closing(
+    human: Hand, robot: Hand, recordings: Sequence[Recording]
+) -> Values | None:
+    """Compare how long robot and person take to close their hands.
+
+    Args:
+        human: The human hand, or the hands of a person as one (`joined`).
+        robot: The robot hand, or a robot.
+        recordings: The recordings that were mapped.
+
+    Returns:
+        `robot_s`, the robot's time for a fist, `joint` and `is_assumed` (`fist_time`); `person_s`,
+        the median time in which the person closed a finger, and `closings`, how often
+        (`closing_times`). None if the person closes no finger.
+
+    Raises:
+        HandmapError: As `fist_time`.
+    """
+    times = np.concatenate([closing_times(each) for each in recordings])
+    if not len(times):
+        return None
+    fist = fist_time(human, robot)
+    return {
+        "robot_s": fist.time,
+        "joint": fist.joint,
+        "is_assumed": fist.is_assumed,
+        "person_s": float(np.median(times)),
+        "closings": len(times),
+    }
+
+
 def notes(summary: Values) -> list[str]:
-    """Return a line each if speed limits or a short arm held the robot, or its waist was bent."""
-    lines = []
-    share = summary["speed_limited_share"]
-    if share > SLOW_SHARE:
-        joints = ", ".join(
-            f"{row['joint']} ({row['limit']:.3g} per s)"
-            for row in summary["speed_limited_joints"]
-        )
-        lines.append(
-            f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often "
-            f"{joints}: move more slowly, or give the robot's true limits in `limits` of its "
-            "hand.yaml"
-        )
+    """Return a line each if speed limits or a short arm held the robot, or its waist was bent.
+
+    Args:
+        summary: Of `summarise`; a value `closing` is that of `compare_closing`.
+    """
+    lines = [line for line in [_speed_note(summary)] if line]
     if arm := summary["arm_out_of_reach"]:
         reasons = ", ".join(
             f"{name} {100.0 * share:.0f} %" for name, share in arm["held_by"].items()
@@ -142,6 +169,32 @@ def notes(summary: Values) -> list[str]:
             "or give them `joint_weights` in robot.yaml or hand.yaml"
         )
     return lines
+
+
+def _speed_note(summary: Values) -> str:
+    """Return a line if the robot's joints are too slow for the person; empty if not."""
+    share = summary["speed_limited_share"]
+    closing = summary.get("closing")
+    is_slower = closing is not None and closing["robot_s"] > closing["person_s"]
+    if not is_slower and share <= SLOW_SHARE:
+        return ""
+    joints = ", ".join(
+        f"{row['joint']} ({row['limit']:.3g} per s)"
+        for row in summary["speed_limited_joints"]
+    )
+    line = (
+        f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often "
+        f"{joints}: move more slowly, or give the robot's true limits in `limits` of its "
+        "hand.yaml"
+    )
+    if not is_slower:
+        return line
+    speeds = "assumed speed limits" if closing["is_assumed"] else "speed limits"
+    return (
+        f"the robot takes {closing['robot_s']:.2f} s for a fist at its {speeds}, and this person "
+        f"{closing['person_s']:.2f} s to close a finger (median of {closing['closings']}): the "
+        f"robot follows late; {line}"
+    )
 
 
 def table_rows(summary: Values) -> dict[str, str]:
