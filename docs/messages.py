@@ -29,6 +29,7 @@ from handmap_qp.client.messages import (
     AnyReply,
     AnyRequest,
     Detail,
+    Fist,
     HandSample,
     HandState,
     Lengths,
@@ -187,7 +188,7 @@ def schema_text() -> str:
         "Replies may get further fields.",
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
-        *map(_table, (Pose, Lengths, HandSample, HandState, About, Detail)),
+        *map(_table, (Pose, Lengths, HandSample, HandState, Fist, About, Detail)),
         "### Presets",
         "\n".join(map(_preset_line, PRESETS)),
         *map(

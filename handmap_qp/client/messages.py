@@ -28,6 +28,7 @@ from handmap_core.client.messages import Duration as Duration
 from handmap_core.client.messages import Engage as Engage
 from handmap_core.client.messages import Error as Error
 from handmap_core.client.messages import FingerPlaces as FingerPlaces
+from handmap_core.client.messages import Fist as Fist
 from handmap_core.client.messages import Former as Former
 from handmap_core.client.messages import Gap as Gap
 from handmap_core.client.messages import HandSample as HandSample

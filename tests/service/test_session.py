@@ -24,8 +24,10 @@ from service_tools import (
     speeds,
 )
 
+from handmap_qp import load_hand
 from handmap_qp.client.messages import Configure, Pose
 from handmap_qp.errors import InvalidInputError, RefusedError
+from handmap_qp.mapping import fist_time
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -257,6 +259,42 @@ def test_details_hold_every_stage() -> None:
         == len(session.robot.reference_points)
     )
     assert command.detail.human_q == pytest.approx(tuple(human_q()))
+
+
+@pytest.mark.parametrize(
+    ("robot", "is_slow"), [("svh_right", True), ("three_finger", False)]
+)
+def test_a_session_says_how_long_its_robot_takes_for_a_fist(
+    robot: str, is_slow: bool
+) -> None:
+    """Whatever the person, the kind of samples and the points: it is the hand's own time."""
+    told = []
+    for choices in (
+        {},
+        {"hand_length": 0.22, "input": "landmarks"},
+        {"human_points": "fingertips_middle", "preset": "object"},
+    ):
+        session = make_session(robot=robot, **choices)
+        opened = session.opened(1, 0)
+        assert opened.fist == session.state(2, "0", 0, 0.0).fist
+        told.append(opened.fist)
+    expected = fist_time(load_hand("human"), load_hand(robot))
+    assert told[0] is not None
+    assert told[0].time == pytest.approx(expected.time)
+    assert told[0].joint == expected.joint
+    assert told[0].is_slow is is_slow
+    assert told == told[:1] * 3
+
+
+def test_answers_of_servers_that_do_not_know_the_fist_are_read() -> None:
+    session = make_session()
+    for reply in (session.opened(1, 0), session.state(2, "0", 0, 0.0)):
+        sent = msgspec.to_builtins(reply)
+        assert sent["fist"]["joint"] in session.robot.joint_names
+        former = {name: value for name, value in sent.items() if name != "fist"}
+        assert msgspec.convert(former, type(reply)).fist is None
+        read = msgspec.json.decode(msgspec.json.encode(reply), type=type(reply))
+        assert read.fist == reply.fist
 
 
 def test_a_fixed_wrist_is_told_and_not_taken() -> None:

@@ -538,6 +538,22 @@ class Reply(Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
     seq: int = 0
 
 
+class Fist(Struct, frozen=True):
+    """How long the robot hand takes from a flat hand to a fist at its joints' speed limits.
+
+    Attributes:
+        time: Time of the joint that takes longest [s].
+        joint: Its name.
+        is_slow: Whether people are faster, so that the robot's fingers follow late.
+        is_assumed: Whether the speed limits are assumed, and so the time is.
+    """
+
+    time: float
+    joint: str
+    is_slow: bool = False
+    is_assumed: bool = False
+
+
 class Opened(Reply):
     """The session is open.
 
@@ -554,6 +570,7 @@ class Opened(Reply):
         stream_port: Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.
         stop_time: Longest time in which the robot stops, whatever limits are configured [s].
         stop_distance: How far each joint moves at most meanwhile [rad].
+        fist: How long the robot takes for a fist; null if not known.
     """
 
     name: str
@@ -568,6 +585,7 @@ class Opened(Reply):
     stream_port: int = 0
     stop_time: float = 0.0
     stop_distance: Numbers = ()
+    fist: Fist | None = None
 
 
 class Detail(Struct, frozen=True, kw_only=True):
@@ -752,6 +770,7 @@ class State(Reply):
         q: Joint angles of the last command [rad].
         stream_port: Port of the streams (ZeroMQ PUB).
         about: Hands and options of the session.
+        fist: How long the session's robot takes for a fist; null if not known.
     """
 
     version: str
@@ -768,6 +787,7 @@ class State(Reply):
     q: Numbers = ()
     stream_port: int = 0
     about: About | None = None
+    fist: Fist | None = None
 
 
 class Done(Reply):

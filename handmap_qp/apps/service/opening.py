@@ -33,6 +33,7 @@ from handmap_qp.hands import (
     Side,
     Values,
     hand_files,
+    joined,
     load_hand,
     load_robot,
     missing_hands,
@@ -58,11 +59,13 @@ from handmap_qp.ik import PointIk
 from handmap_qp.mapping import (
     IK_NAMES,
     Choice,
+    FistTime,
     HandMapper,
     LandmarkReader,
     MeshShape,
     RobotMapper,
     find_alignment,
+    fist_time,
     kept_options,
     known_options,
     parse_object,
@@ -259,6 +262,7 @@ class Hands(NamedTuple):
         calibration: Measures the human hand from the first landmarks, if it is not known; until
             then it is the model's own.
         gap_meter: Measures the contact gap by touches, if nobody gave it.
+        fist: How long the robot takes for a fist; None if the default preset cannot map to it.
     """
 
     mapper: HandMapper | RobotMapper
@@ -268,6 +272,7 @@ class Hands(NamedTuple):
     lengths: HumanLengths | None
     calibration: "Calibration | None"
     gap_meter: ContactGapMeter | None
+    fist: FistTime | None = None
 
 
 def prepare_hands(
@@ -326,6 +331,9 @@ def prepare_hands(
     with suppress(HandmapError):
         for side in humans:
             hand_pair(humans[side], hands[side])
+    fist = None
+    with suppress(HandmapError):
+        fist = fist_time(joined("human", *humans.values()), robot)
     rejoin = "clutch" if request.resume == "engage" else "glide"
     follower = _holding(following(mapper, rejoin=rejoin), request)
     calibration = None
@@ -334,7 +342,7 @@ def prepare_hands(
     is_known = request.contact_gap is not None or "contact_gap" in request.options
     gap = None if robot.parts or is_known else choice.method.values.get("contact_gap")
     gap_meter = None if gap is None else ContactGapMeter(gap)
-    return Hands(mapper, follower, hand, choice, lengths, calibration, gap_meter)
+    return Hands(mapper, follower, hand, choice, lengths, calibration, gap_meter, fist)
 
 
 def read_grip(request: Open) -> GripOptions | None:

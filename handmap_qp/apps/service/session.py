@@ -26,6 +26,7 @@ from handmap_core.client.messages import (
     Configure,
     Detail,
     Done,
+    Fist,
     HandSample,
     HandState,
     Lengths,
@@ -363,6 +364,14 @@ class Session:
         """Whether silence makes the robot move yet, to its rest posture."""
         return self._clock.will_return(self._state) and not self._is_at_rest
 
+    @property
+    def _fist(self) -> Fist | None:
+        """How long the robot takes for a fist, as clients read it."""
+        found = self._hands.fist
+        if found is None:
+            return None
+        return Fist(found.time, found.joint, found.is_slow, found.is_assumed)
+
     def opened(self, seq: int, stream_port: int) -> Opened:
         """Answer `open`."""
         robot = self.robot
@@ -381,6 +390,7 @@ class Session:
             stream_port=stream_port,
             stop_time=LONGEST_STOP,
             stop_distance=to_row(robot.stop_distances),
+            fist=self._fist,
         )
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
@@ -410,6 +420,7 @@ class Session:
             q=to_row(self._commanded.q),
             stream_port=stream_port,
             about=About(**about),
+            fist=self._fist,
         )
 
     def step(self, sample: Step, now: float) -> Command:
