@@ -269,11 +269,12 @@ def test_a_session_says_how_long_its_robot_takes_for_a_fist(
 ) -> None:
     """Whatever the person, the kind of samples and the points: it is the hand's own time."""
     told = []
-    for choices in (
+    different: list[dict[str, Any]] = [
         {},
         {"hand_length": 0.22, "input": "landmarks"},
         {"human_points": "fingertips_middle", "preset": "object"},
-    ):
+    ]
+    for choices in different:
         session = make_session(robot=robot, **choices)
         opened = session.opened(1, 0)
         assert opened.fist == session.state(2, "0", 0, 0.0).fist
