@@ -26,11 +26,12 @@ from service_tools import (
 
 from handmap_core.client.messages import Open
 from handmap_core.human.recording import sample_columns
-from handmap_qp import hand_names
+from handmap_qp import hand_names, load_hand
 from handmap_qp.apps.live.service import ServiceSource
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
+from handmap_qp.mapping import fist_time, slow_note
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 
@@ -213,6 +214,22 @@ def test_a_page_asks_for_the_services_clock(tmp_path: Path) -> None:
         usual = {field.name: field.default for field in structs.fields(Open)}
         assert request.time_from == usual["time_from"]
         assert request.watchdog == usual["watchdog"]
+
+
+def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:
+    start(browser, server, words="?right=svh_right")
+    show_hands(browser, "right", "left")
+    for side in ("right", "left"):
+        wait_for_text(browser, f"#{side} .state", "streaming")
+    fist = fist_time(load_hand("human"), load_hand("svh_right"))
+    assert text(browser, "#right .slow") == slow_note(fist)
+    is_hidden = "document.querySelector('#{} .slow').hidden"
+    assert not browser.evaluate(is_hidden.format("right"))
+    assert text(browser, "#left .slow") == ""
+    assert browser.evaluate(is_hidden.format("left"))
+    click(browser, "#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
 
 
 def test_hands_move_the_robots(browser: Browser, server: Server) -> None:

@@ -44,6 +44,7 @@ from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import skip_wakeup_race
 from handmap_qp.human import HumanMotion
+from handmap_qp.mapping import fist_time, slow_note
 from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
@@ -307,6 +308,15 @@ def test_the_robots_name_says_that_the_hand_was_not_seen(viewer: ReplayViewer) -
 
 
 # -- controls
+
+
+@pytest.mark.parametrize("robot", ["svh_right", "three_finger"])
+def test_a_slow_hand_has_a_line(server: Any, robot: str) -> None:
+    viewer = ReplayViewer(server, make_replay(robot, "teleoperation"))
+    note = slow_note(fist_time(load_hand("human"), load_hand(robot)))
+    assert bool(note) == (robot == "svh_right")
+    assert viewer.slow_text.content == note
+    assert viewer.slow_text.visible == bool(note)
 
 
 def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:

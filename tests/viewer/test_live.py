@@ -56,6 +56,7 @@ class Source:
         )
         self.is_stopped = False
         self.stop_number = 0
+        self.slow_note = ""
         self.last_error: HandmapError | None = None
         self.asked: list[dict[str, Any]] = []
         self.given: queue.Queue[ViewSample | HandmapError | None] = queue.Queue()
@@ -415,6 +416,17 @@ def test_the_view_restarts_when_the_hands_change(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("note", ["", "This hand needs 1.3 s for a fist."])
+def test_a_slow_hand_has_a_line(server: Any, source: Any, note: str) -> None:
+    source.slow_note = note
+    source.given.put(source.samples[0])
+    viewer = LiveViewer(server, source)
+    viewer.tick()
+    assert viewer.slow_text.content == note
+    assert viewer.slow_text.visible == bool(note)
+    viewer.close()
+
+
 def test_a_source_that_is_not_shared_has_no_controls(server: Any, source: Any) -> None:
     source.is_shared = False
     source.given.put(source.samples[0])

@@ -190,6 +190,26 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "is_slow"), [("svh_right", True), ("allegro_right", False)]
+)
+def test_the_service_says_whether_the_hand_is_slow(
+    service: Server, robot: str, is_slow: bool
+) -> None:
+    with (
+        connected(service, robot, None, name="lab", has_detail=True) as client,
+        moving(client),
+        watching(service, session="lab") as (session, samples),
+    ):
+        next(samples)
+        fist = client.status().fist
+    assert fist is not None
+    expected = f"needs {fist.time:.1f} s for a fist: a person is faster"
+    assert (expected in session.slow_note) == is_slow
+    assert bool(session.slow_note) == is_slow
+
+
+@pytest.mark.slow
 def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -> None:
     with (
         connected(service, "allegro_right", None, name="lab", is_shared=True) as client,

@@ -36,6 +36,7 @@ class LiveViewer(Window):
     Attributes:
         recent: The samples of the last 10 s.
         status_text: The sample rate, or that no sample arrives.
+        slow_text: Whether the robot's joints are slower than a person; hidden if not.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
             be steered.
@@ -81,6 +82,8 @@ class LiveViewer(Window):
         )
         with self.control:
             self.status_text = server.gui.add_markdown("")
+            self.slow_text = server.gui.add_markdown("", visible=False)
+            say(self.slow_text, source.slow_note)
             self.stop, self.clear = add_controls(server.gui, "stopping")
             self.stop.on_click(lambda _: source.request("stop"))
             self._stop_number = 0

@@ -28,7 +28,7 @@ from handmap_qp.hands import (
     robot_files,
 )
 from handmap_qp.human import LandmarkFitter
-from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
+from handmap_qp.mapping import IK_NAMES, Choice, preset_choice, slow_note
 from .sample import HumanView, ViewSample
 
 # Longest wait for an answer once the session is shown [s].
@@ -79,6 +79,8 @@ class ServiceSession:
         stop_number: Number of the emergency stop in force; 0 for none.
         is_outdated: Whether the session has changed to other hands.
         last_error: Why the last request failed; None if it succeeded.
+        slow_note: A line if the robot's joints are slower than a person, as the service says;
+            empty if not, or if the service does not know.
 
     Raises:
         InvalidInputError: If the service cannot be reached, or the session cannot be shown.
@@ -89,6 +91,7 @@ class ServiceSession:
     _start = 0.0
     _is_read = _is_closed = is_outdated = is_released = False
     stop_number = 0
+    slow_note = ""
     last_error: HandmapError | None = None
 
     def __init__(
@@ -215,6 +218,8 @@ class ServiceSession:
             if self.name:
                 state = self._client.watch(self.name)
                 self.is_released = state.is_released
+                # Servers before this field do not send it.
+                self.slow_note = slow_note(state.fist) if state.fist else ""
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
                     return about

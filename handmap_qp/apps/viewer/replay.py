@@ -1,11 +1,12 @@
 """A recording, mapped by one method or two (`Replay`), and in the browser (`ReplayViewer`)."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 
-from handmap_core.errors import InvalidInputError
+from handmap_core.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Hand, Names, Side, Values
 from handmap_qp.human import HumanMotion, Recording
 from handmap_qp.mapping import (
@@ -14,14 +15,24 @@ from handmap_qp.mapping import (
     MapStep,
     RobotMapper,
     find_alignment,
+    fist_time,
     options_text,
     parse_object,
     possible_presets,
     preset_choice,
+    slow_note,
     surface,
 )
 from handmap_qp.stream import Follower, RobotFollower, follow_recording, paired
-from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, reporting
+from .controls import (
+    KEPT,
+    NOTHING,
+    PlayBar,
+    SteeringControls,
+    Window,
+    reporting,
+    say,
+)
 from .page import make_page
 from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer
@@ -81,6 +92,13 @@ class Replay:
     def variants(self) -> tuple[Variant, ...]:
         """The robots to show: `variant`, and `other` if there is one."""
         return (self.variant, self.other) if self.other else (self.variant,)
+
+    @property
+    def slow_note(self) -> str:
+        """A line if the robot's joints are slower than a person; empty if not, or not known."""
+        with suppress(HandmapError):
+            return slow_note(fist_time(self.human, self._robot))
+        return ""
 
     @property
     def presets(self) -> Names:
@@ -235,6 +253,7 @@ class ReplayViewer(Window):
     Attributes:
         replay: The recording.
         play_bar: Play, pause, scrub.
+        slow_text: Whether the robot's joints are slower than a person; hidden if not.
         steering: Preset, comparison, clutch and options.
     """
 
@@ -250,6 +269,8 @@ class ReplayViewer(Window):
         self._pending = []
         with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
+            self.slow_text = server.gui.add_markdown("", visible=False)
+            say(self.slow_text, replay.slow_note)
             self.steering = SteeringControls(
                 server, self._start, replay.presets, replay.compared
             )

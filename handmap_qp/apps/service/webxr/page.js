@@ -266,6 +266,12 @@ function refreshRobot(item) {
   find(".clear", item).hidden = !stop || !mayClear(name);
 }
 
+/** What people who lead a slow hand must know; the same words as `slow_note` of the package. */
+function describeSlow(fist) {
+  const speeds = fist.is_assumed ? " by assumed speeds" : "";
+  return `This hand needs ${fist.time.toFixed(1)} s for a fist${speeds}: a person is faster.`;
+}
+
 function refreshCard(card) {
   const { root, select } = card;
   const session = sessionOf(card);
@@ -274,6 +280,8 @@ function refreshCard(card) {
   root.dataset.state = state;
   select.parentElement.hidden = Boolean(both.select.value);
   find(".state", root).textContent = words;
+  find(".slow", root).hidden = !session.fist?.is_slow;
+  find(".slow", root).textContent = session.fist?.is_slow ? describeSlow(session.fist) : "";
   const skipped = session.skipped ? `, ${session.skipped} skipped` : "";
   find(".sent", root).textContent = tracking.session ? `${rateOf(card)} Hz${skipped}` : "-";
   find(".robot", root).textContent = last?.status ?? "-";

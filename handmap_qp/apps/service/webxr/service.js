@@ -37,6 +37,7 @@ export class HandSession {
     this.last = null; // the newest command, before the first one the posture of the opened session
     this.heard = performance.now(); // time of the newest reply [ms]
     this.delay = null; // from the time stamp of a sample to its command [ms]
+    this.fist = null; // how long the robot takes for a fist; servers before it do not say
     this.error = "";
     this.skipped = this.attempts = 0;
   }
@@ -108,6 +109,7 @@ export class HandSession {
       this.isOpen = true;
       this.attempts = 0;
       this.error = "";
+      this.fist = reply.fist ?? null;
       this.last ??= { q: reply.q, wrist: null, status: "waiting", flags: [] };
       this.service.ask({ type: "subscribe", name: this.name }, this);
     } else if (reply.type === "command") {
