@@ -30,8 +30,8 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
         The same path.
 
     Raises:
-        InvalidInputError: If the suffix is another, the folder does not exist, or the path is a
-            folder.
+        InvalidInputError: If the suffix is another, the folder does not exist or cannot be written,
+            or the path is a folder.
     """
     expect(
         path.name.endswith(suffixes),
@@ -42,6 +42,8 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
     problem = f"{path} is a folder" if path.is_dir() else ""
     if not path.parent.is_dir():
         problem = f"there is no folder {path.parent}"
+    elif not os.access(path.parent, os.W_OK):
+        problem = f"the folder {path.parent} cannot be written"
     if problem:
         raise InvalidInputError(problem, argument=argument, value=str(path))
     return path

@@ -1,6 +1,6 @@
 """A software renderer for hands, without a display."""
 
-from .contact_sheet import save_contact_sheet
+from .contact_sheet import landmarks_in_palm, save_contact_sheet
 from .hands import (
     AXIS_COLOURS,
     GREY,
@@ -9,6 +9,7 @@ from .hands import (
     UPRIGHT,
     draw_hands,
     load_shape,
+    require_drawing,
     require_matplotlib,
     save_panels,
     save_picture,
@@ -16,6 +17,7 @@ from .hands import (
     tube,
 )
 from .layout_pictures import save_layout_picture
+from .moments import ShownHand, ShownMotion, moments_sheet
 from .raster import Camera, Colour, Triangles, merged
 from .scene import PANEL, Scene
 from .shapes import LinkShape, read_shapes, shape_meshes
@@ -31,11 +33,16 @@ __all__ = [
     "Colour",
     "LinkShape",
     "Scene",
+    "ShownHand",
+    "ShownMotion",
     "Triangles",
     "draw_hands",
+    "landmarks_in_palm",
     "load_shape",
     "merged",
+    "moments_sheet",
     "read_shapes",
+    "require_drawing",
     "require_matplotlib",
     "save_contact_sheet",
     "save_layout_picture",

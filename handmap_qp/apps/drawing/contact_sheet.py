@@ -24,7 +24,7 @@ from handmap_core.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.hands import Hand, Side, Values, find_fingers
+from handmap_qp.hands import Hand, Side, find_fingers
 from handmap_qp.human import (
     FIRST_JOINTS,
     PALM,
@@ -36,11 +36,11 @@ from .hands import (
     UPRIGHT,
     HandShape,
     load_shape,
-    require_matplotlib,
     spheres,
     tube,
 )
 from .raster import Camera, Colour, Triangles, merged, render
+from .sheet import SheetColumn, draw_sheet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,13 +59,13 @@ VIEWS: tuple[tuple[float, float], ...] = ((-90.0, 8.0), (-25.0, 18.0))
 The fingers point up and the palm looks along -y. For left hands, azimuths are mirrored.
 """
 _VIEW_NAMES = "palm side  |  three-quarter"
+Views = Sequence[tuple[float, float]]
+"""Cameras as in `VIEWS`."""
 CELL = (170, 190)
 """Width and height of one view [pixel]."""
+HUMAN_BACKGROUND = 0.965
+"""Grey behind a person's hand."""
 
-_DPI = 100
-_LEFT = 118
-_TOP = 54
-_BOTTOM = 30
 _MARGIN = 0.05
 _BONE = 0.0062
 _JOINT = 0.0068
@@ -73,9 +73,6 @@ _TIP = 0.0072
 _PALM_BONE = 0.0052
 _PALM_COLOUR = (0.80, 0.72, 0.66)
 _ROBOT_COLOUR = (0.66, 0.68, 0.72)
-_HUMAN_BACKGROUND = 0.965
-_RULE = 0.86
-_INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
 _KNUCKLES = FIRST_JOINTS.tolist()
 _PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
@@ -120,22 +117,39 @@ def sheet_rows(
     """
     for i, q in enumerate(motions):
         as_floats(q, f"motions[{i}]", shape=(len(recording), "n"))
-    palm = measure_hand(recording).palm(recording.side)
-    rows = []
-    for label, i in poses.items():
-        if i is None:
-            continue
+    shown = {label: i for label, i in poses.items() if i is not None}
+    for label, i in shown.items():
         expect(
             0 <= i < len(recording) and recording.valid[i],
             f"poses[{label!r}]",
             "index of a valid sample",
             value=i,
         )
+    own = landmarks_in_palm(recording, [*shown.values()])
+    return [
+        SheetRow(
+            label,
+            f"{recording.time[i] - recording.time[0]:.2f} s",
+            landmarks,
+            tuple(q[i] for q in motions),
+        )
+        for (label, i), landmarks in zip(shown.items(), own, strict=True)
+    ]
+
+
+def landmarks_in_palm(recording: Recording, samples: Sequence[int]) -> Array:
+    """Return landmarks in the palm frame (`SheetRow.landmarks`) [m], shape (n, 21, 3).
+
+    Args:
+        recording: Landmarks of a hand.
+        samples: Indices of n valid samples.
+    """
+    palm = measure_hand(recording).palm(recording.side)
+    found = np.empty((len(samples), *recording.landmarks.shape[1:]))
+    for row, i in enumerate(samples):
         landmarks = recording.landmarks[i]
-        own = transform_points(rigid_fit(landmarks[PALM], palm), landmarks)
-        note = f"{recording.time[i] - recording.time[0]:.2f} s"
-        rows.append(SheetRow(label, note, own, tuple(q[i] for q in motions)))
-    return rows
+        found[row] = transform_points(rigid_fit(landmarks[PALM], palm), landmarks)
+    return found
 
 
 def contact_sheet(
@@ -166,35 +180,19 @@ def contact_sheet(
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     pictures = pose_pictures(columns, rows, side=side)
-    width, height = CELL
-    span = len(VIEWS) * width
-    sheet = np.moveaxis(pictures, 3, 1).reshape(len(rows) * height, -1, 3)
-    margins = (_TOP, _BOTTOM), (_LEFT, 0), (0, 0)
-    canvas = np.pad(sheet, margins, constant_values=1.0)
-    bottom = _TOP + len(sheet)
-    canvas[_TOP - 1 : bottom : height] = _RULE
-    canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
-    height, width = canvas.shape[:2]
-    with require_matplotlib().rc_context({"font.family": "DejaVu Sans"}):
-        from matplotlib.figure import Figure
-
-        figure = Figure((width / _DPI, height / _DPI), _DPI, facecolor="white")
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
-        axes.set_axis_off()
-        bold: Values = {"color": _INK, "fontweight": "bold", "va": "center"}
-        pale: Values = {"color": _PALE, "va": "center"}
-        for i, name in enumerate(["human", *(name for name, _ in columns)]):
-            middle = _LEFT + (i + 0.5) * span
-            axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
-            axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
-        for i, row in enumerate(rows):
-            centre = _TOP + (i + 0.5) * CELL[1]
-            axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
-            axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
-        axes.text(10, 24, title, fontsize=7, **pale)
-        axes.text(10, height - 0.5 * _BOTTOM, footnote, fontsize=8, **pale)
-    return figure
+    # The views of a column stand side by side.
+    shape = len(rows), CELL[1], len(VIEWS) * CELL[0], 3
+    drawn = np.moveaxis(pictures, 3, 2).swapaxes(0, 1)
+    names = ["human", *(name for name, _ in columns)]
+    return draw_sheet(
+        [
+            SheetColumn(name, _VIEW_NAMES, views.reshape(shape))
+            for name, views in zip(names, drawn, strict=True)
+        ],
+        [(row.label, row.note) for row in rows],
+        title=title,
+        footnote=footnote,
+    )
 
 
 def pose_pictures(
@@ -220,22 +218,64 @@ def pose_pictures(
     """
     advice = "find_poses finds them"
     expect(rows, "rows", "at least one pose", got="none", advice=advice)
-    human = _pictures(
-        [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND
-    )
+    human = human_pictures([row.landmarks for row in rows], side)
     pictures = np.stack([human] * (1 + len(columns)))
     # Columns of the same hand have the same scale.
     for hand in {hand for _, hand in columns}:
-        shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
-        solids = []
-        for q in (row.q[i] for i in own for row in rows):
-            # In its palm frame, upright.
-            pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", q))
-            solids.append(shape.triangles(q).moved(pose))
-        drawn = _pictures(solids, hand.side, 1.0)
+        drawn = hand_pictures(load_shape(hand), [row.q[i] for i in own for row in rows])
         pictures[1:][own] = drawn.reshape(-1, *human.shape)
     return pictures.swapaxes(0, 1)
+
+
+def human_pictures(
+    landmarks: Sequence[Array],
+    side: Side,
+    *,
+    views: Views = VIEWS,
+    size: tuple[int, int] = CELL,
+) -> Array:
+    """Draw a person's hand in its palm frame at one scale.
+
+    Args:
+        landmarks: Landmarks as in `SheetRow` [m], n times (21, 3).
+        side: Which hand they are of.
+        views: Cameras, as in `VIEWS`.
+        size: Width and height of a picture [pixel].
+
+    Returns:
+        Red, green and blue from 0 to 1, shape (n, views, height, width, 3).
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    solids = [human_triangles(transform_points(UPRIGHT, each)) for each in landmarks]
+    return _pictures(solids, side, HUMAN_BACKGROUND, views, size)
+
+
+def hand_pictures(
+    shape: HandShape,
+    postures: Sequence[Array],
+    *,
+    views: Views = VIEWS,
+    size: tuple[int, int] = CELL,
+) -> Array:
+    """Draw a robot hand without its arm in its palm frame at one scale, as `human_pictures` does.
+
+    Args:
+        shape: The hand.
+        postures: Joint angles in the order of its `joint_names` [rad], n times (joints,).
+        views: Cameras, as in `VIEWS`.
+        size: Width and height of a picture [pixel].
+    """
+    hand = shape.hand
+    coloured = _coloured(shape)
+    solids = []
+    for q in postures:
+        # In its palm frame, upright.
+        pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", q))
+        solids.append(coloured.triangles(q).moved(pose))
+    return _pictures(solids, hand.side, 1.0, views, size)
 
 
 def save_contact_sheet(
@@ -270,26 +310,36 @@ def save_contact_sheet(
     return Path(file)
 
 
-def _pictures(solids: list[Triangles], side: Side, background: float) -> Array:
+def on_background(image: Array, background: float = 1.0) -> Array:
+    """Return a rendered image (..., 4) on a grey from 0 to 1, shape (..., 3)."""
+    return background + image[..., 3:] * (image[..., :3] - background)
+
+
+def _pictures(
+    solids: list[Triangles],
+    side: Side,
+    background: float,
+    views: Views,
+    size: tuple[int, int],
+) -> Array:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged(solids).vertices.reshape(-1, 3)
     cameras = [
         Camera.framing(
             points,
-            CELL,
+            size,
             azimuth=azimuth if side == "right" else 180.0 - azimuth,
             elevation=elevation,
             margin=_MARGIN,
         )
-        for azimuth, elevation in VIEWS
+        for azimuth, elevation in views
     ]
     images = np.array([[render(one, camera) for camera in cameras] for one in solids])
-    return background + images[..., 3:] * (images[..., :3] - background)
+    return on_background(images, background)
 
 
-def _human_triangles(landmarks: Array) -> Triangles:
-    """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
-    points = transform_points(UPRIGHT, landmarks)
+def human_triangles(points: Array) -> Triangles:
+    """Return tubes through landmarks [m], shape (21, 3), a colour for every finger."""
     palm = require("trimesh", "plot").Trimesh(points, _PALM_FACES)
     normals = palm.face_normals[:, None].repeat(3, axis=1)
     parts = [

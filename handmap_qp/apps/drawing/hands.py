@@ -221,6 +221,16 @@ def require_matplotlib() -> ModuleType:
     return require("matplotlib", "plot")
 
 
+def require_drawing() -> None:
+    """Check, before any work, that hands can be drawn.
+
+    Raises:
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    require("trimesh", "plot")
+
+
 def save_panels(
     path: Path,
     title: str,

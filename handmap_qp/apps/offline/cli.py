@@ -1,6 +1,7 @@
 """The commands `handmap retarget`, `handmap align` and `handmap calibrate`."""
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +22,16 @@ from handmap_qp.apps.arguments import (
     person_of,
     read_robot,
 )
+from handmap_qp.apps.drawing import require_drawing
 from handmap_qp.apps.tables import print_result, print_rows, progress
 from handmap_qp.hands import Hand, Values, joined
-from handmap_qp.human import PALM, Person, Recording, scaled_human, write_person
+from handmap_qp.human import PALM, Recording, scaled_human, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
 from .inputs import describe_input, input_notes, input_rows
+from .moments import MappedMotion, save_moments
 from .summary import compare_closing, notes, summarise, table_rows
 from .trajectory import map_hands
 
@@ -48,8 +51,12 @@ class Retarget:
     world of its own, and --robot a robot with both (`handmap robots list`). The forms of files are
     listed by `handmap convert --help`. `handmap map` is the same command by its former name.
 
+    Look at --picture first: it has six moments of the recording, the person's hands beside the
+    robot.
+
     Examples:
         handmap retarget demo --robot allegro_right
+        handmap retarget pinch --robot g1 --picture g1.png
         handmap retarget recording.npz --robot my_hand.yaml --preset object --json
         handmap retarget recording.npz --robot allegro_right --person anna.yaml
         handmap retarget left.npz right.npz --robots allegro_left allegro_right
@@ -64,6 +71,7 @@ class Retarget:
             `handmap robots list`, or the path of its robot.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
+        picture: Picture of moments to draw, .png, .svg or .pdf; with --robots of both hands.
         mirror: Map the mirror image of a recording of the other hand.
         person: File of the person's hand, of `handmap calibrate`.
         json: Print the summary as one JSON object instead of a table; with --robots a list.
@@ -81,6 +89,7 @@ class Retarget:
     out: Annotated[
         Path | None, hinted("FILE.npz", "(default: RECORDING_ROBOT.npz)")
     ] = None
+    picture: Annotated[Path | None, hinted("FILE.png")] = None
     mirror: bool = False
     person: PersonFile = None
     json: bool = False
@@ -90,10 +99,22 @@ class Retarget:
     def run(self) -> None:
         """Read, measure and map, write the trajectories, and print summaries."""
         # Files are checked before any work is done.
+        if self.picture:
+            check_output("--picture", self.picture, (".png", ".svg", ".pdf"))
+            require_drawing()
         moves = [
             (robot, used, self._out(used[0], robot)) for robot, used in self._read()
         ]
-        summaries = [self._map(*move) for move in moves]
+        motions = []
+        summaries = []
+        for robot, used, out in moves:
+            motion = self._map(robot, used)
+            save_npz(out, motion.trajectory.all_columns)
+            motions.append(motion)
+            summaries.append(self._summary(motion, out))
+        if self.picture:
+            with progress("drawing"):
+                save_moments(self.picture, motions)
         if self.json:
             found = summaries if self.robots else summaries[0]
             print(json.dumps(found, allow_nan=False))
@@ -106,6 +127,8 @@ class Retarget:
             for note in [*notes(summary), *input_notes(summary["inputs"])]:
                 print(note)
             print(f"wrote {summary['out']}")
+        if self.picture:
+            print(f"wrote {self.picture}")
 
     def _read(self) -> list[tuple[Hand, list[Recording]]]:
         """Read each robot with the recordings of its hands."""
@@ -140,33 +163,37 @@ class Retarget:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
-    def _map(self, robot: Hand, used: list[Recording], out: Path) -> Values:
-        """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
+    def _map(self, robot: Hand, used: list[Recording]) -> MappedMotion:
+        """Map the recordings of a robot's hands."""
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
-            trajectory, method, _ = map_hands(
+            trajectory, method, followed = map_hands(
                 used, robot, person, self.arguments, advance
             )
         if trajectory.object_pose is None and any(each.object_shape for each in used):
             warn(f"{robot.name} is mapped without the object: {_TOUCHES} touches it")
-        save_npz(out, trajectory.all_columns)
+        return MappedMotion(trajectory, used, method, followed)
+
+    def _summary(self, motion: MappedMotion, out: Path) -> Values:
+        """Return the summary of what was mapped and written."""
+        trajectory, used, method, _ = motion
         summary = summarise(trajectory)
         return {
             "recording": " and ".join(each.name for each in used),
             **summary,
-            "closing": self._closing(robot, used, person)
+            "closing": self._closing(trajectory.robot, used)
             if summary["speed_limited_joints"]
             else None,
-            "robot": robot.name,
+            "robot": trajectory.robot.name,
             "inputs": [describe_input(recording) for recording in used],
             "alignment": getattr(method, "alignment", None),
             "out": str(out),
+            "picture": self.picture and str(self.picture),
         }
 
-    def _closing(
-        self, robot: Hand, used: list[Recording], person: Person
-    ) -> Values | None:
+    def _closing(self, robot: Hand, used: Sequence[Recording]) -> Values | None:
         """Compare how long robot and person take for a fist, where that can be measured."""
+        person = person_of(list(used), self.person)
         points = self.arguments.human_points
         humans = [
             scaled_human(each, points=points, lengths=person.lengths) for each in used
