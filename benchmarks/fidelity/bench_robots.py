@@ -36,8 +36,9 @@ from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
+from handmap_qp.apps.offline.leaning import measure_leaning
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.hands import Side, are_prismatic
+from handmap_qp.hands import Side
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -80,18 +81,6 @@ def with_waist(name: str, weight: float | None) -> Hand:
     named = compress(robot.joint_names, robot.carries_limbs)
     spec = read_robot_spec(robot_files()[name])
     return load_robot(replace(spec, joint_weights=dict.fromkeys(named, weight)))
-
-
-def leaning(robot: Hand, q: np.ndarray) -> dict[str, float]:
-    """Return how far the joints of a waist are from rest [deg or m], and how often at a limit."""
-    waist = robot.carries_limbs
-    if not waist.any():
-        return {"lean": np.nan, "bent": np.nan}
-    away = np.abs(q - robot.rest)[:, waist].max(axis=1)
-    at_limit = np.array([robot.at_position_limit(each) for each in q])[:, waist]
-    is_angle = not are_prismatic(robot)[waist].any()
-    lean = float(np.median(np.degrees(away) if is_angle else away))
-    return {"lean": lean, "bent": float(at_limit.any(axis=1).mean())}
 
 
 def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, Any]:
@@ -143,7 +132,8 @@ def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, A
     row["wrist_mm"] = 1e3 * np.percentile(wrists, 95)
     row["overlap_mm"] = 1e3 * max(overlaps)
     q = np.array(motion)
-    row |= leaning(robot, q)
+    leaning = measure_leaning(robot, q)
+    row |= {"lean": leaning.median, "bent": leaning.bent_share}
     changes = [
         changed(robot.by_side[s], hand, hands[s], q, samples, ~is_near)
         for s, hand in bare.items()

@@ -358,7 +358,8 @@ def read_robot(
         side = command.inputs.side_of(files[0])
         side = OTHER_SIDE[side] if command.mirror else side
     robot = load_whole(name, command.arguments.robot_points, side=side)
-    if robot.parts:
+    # A robot with one hand takes a recording of it, or that of its side of two.
+    if len(robot.parts) > 1 or (robot.parts and len(files) > 1):
         both = command.inputs.read_both(files, command.person, mirror=command.mirror)
         return robot, [both[side] for side in robot.by_side]
     expect(

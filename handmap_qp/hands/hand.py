@@ -21,6 +21,7 @@ from handmap_core.errors import HandError, InvalidInputError, expect
 from handmap_core.hands import (
     CONTACT_GAP,
     LONGEST_STOP,
+    Names,
     Side,
     Values,
     joints_at_limit,
@@ -127,6 +128,8 @@ class Hand:
         stretches: Likewise, factors on the shapes of fingers: see `shape_stretches`.
         parts: The hands of a robot that is moved as one (`hands.robot.joined`); else empty.
         has_floating_base: Whether that robot walks or drives.
+        limb_carriers: Joints that carry a limb whose locked joints are gone from its URDF; those of
+            other limbs are found there (`carries_limbs`).
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
@@ -139,6 +142,7 @@ class Hand:
     unscaled: Hand | None = None
     parts: tuple[Hand, ...] = ()
     has_floating_base = False
+    limb_carriers: Names = ()
 
     def __init__(
         self,
@@ -288,7 +292,7 @@ class Hand:
 
         A limb has a movable joint, and hangs neither from a wrist nor on the way to it.
         """
-        found = np.zeros(len(self.joints), dtype=bool)
+        found = np.isin(self.joint_names, self.limb_carriers)
         supports = self.model.supports
         for hand in self.hands:
             wrist = hand.wrist_frame.parentJoint

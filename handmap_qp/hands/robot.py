@@ -16,6 +16,7 @@ own, and every `q` has all joints of the robot. So a method, a task or a limit n
 from collections.abc import Sequence
 from copy import copy
 from functools import reduce
+from itertools import compress
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -157,18 +158,21 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
     prefixes: dict[Side, str] = {}
     rest: Positions = {}
     weights: Positions = {}
+    carriers: list[str] = []
     for (_, place), sides in trees.items():
         prefix = "" if len(trees) == 1 else f"{sides[0]}_"
         spec = _merged([specs[side] for side in sides])
         _stand(whole, spec, prefix, *place)
         arm = spec.arm.rest if spec.arm else {}
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
-        given = spec.joint_weights
-        if len(sides) == 1 and spec.locked:
+        weights |= {
+            f"{prefix}{name}": float(at) for name, at in spec.joint_weights.items()
+        }
+        if len(sides) == 1 and (spec.locked or (spec.arm and spec.arm.locked)):
             # What is locked has no joint in the robot's URDF, so its limbs are found here.
             alone = Hand(spec)
-            given = dict(zip(alone.joint_names, alone.joint_weights, strict=True))
-        weights |= {f"{prefix}{name}": float(at) for name, at in given.items()}
+            named = compress(alone.joint_names, alone.carries_limbs)
+            carriers += [f"{prefix}{name}" for name in named]
         prefixes |= dict.fromkeys(sides, prefix)
     for joint in sorted(robot.joint_weights.keys() - rest.keys()):
         problem = f"{joint!r} is not one of the robot's joints"
@@ -180,6 +184,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         spec = _on_robot(specs[side], robot.name, prefix, rest, weights)
         hands.append(Hand(spec, urdf_text=text))
         hands[-1].has_floating_base = robot.base == "floating"
+        hands[-1].limb_carriers = tuple(carriers)
     return joined(robot.name, *hands)
 
 

@@ -10,7 +10,8 @@ import yaml
 from meeting_hands import meeting_hands
 from msgspec.structs import replace
 
-from handmap_qp import Hand, HandMapper, Teleoperation, load_hand
+from handmap_qp import Hand, HandMapper, Teleoperation, cli, load_hand
+from handmap_qp.apps.offline.leaning import measure_leaning
 from handmap_qp.errors import HandError
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.robot import load_robot, read_robot_spec, robot_files
@@ -18,6 +19,7 @@ from handmap_qp.human.measure import scaled_human
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.reference import PublishedMethod
+from handmap_qp.trackers import save_npz
 
 WAIST = {"waist_yaw_joint", "waist_roll_joint", "waist_pitch_joint"}
 
@@ -44,6 +46,16 @@ def lean_and_error(robot: Hand) -> tuple[float, float]:
         bent.append(away[robot.carries_limbs].max())
         errors.append([each.wrist_error[0] for each in step.hands.values()])
     return float(np.median(bent)), float(np.median(errors))
+
+
+def write_half(folder: Path) -> Path:
+    """Write a robot.yaml with G1's left hand alone, and return its path."""
+    left = robot_files()["g1"].parent / "left.yaml"
+    file = folder / "robot.yaml"
+    file.write_text(
+        f"name: half\nhands: {{left: {{hand: {left}}}}}\n", encoding="utf-8"
+    )
+    return file
 
 
 def test_a_waist_stays_up_where_arms_can_do_it() -> None:
@@ -111,12 +123,7 @@ def test_wrong_weights_are_one_line(
 
 
 def test_a_robot_with_one_hand_has_its_waist(tmp_path: Path) -> None:
-    left = robot_files()["g1"].parent / "left.yaml"
-    file = tmp_path / "robot.yaml"
-    file.write_text(
-        f"name: half\nhands: {{left: {{hand: {left}}}}}\n", encoding="utf-8"
-    )
-    robot = load_robot(file)
+    robot = load_robot(write_half(tmp_path))
     is_waist = np.isin(robot.joint_names, [*WAIST])
     np.testing.assert_array_equal(robot.joint_weights > 10.0, is_waist)
 
@@ -172,3 +179,72 @@ def test_the_published_method_weighs_joints_alike() -> None:
             for mapper in (by_core, published)
         )
         np.testing.assert_allclose(one.command.q, other.command.q, atol=1e-8)
+
+
+def test_a_robot_with_one_hand_leans_as_one_whose_other_arm_is_still(
+    tmp_path: Path,
+) -> None:
+    whole, half = load_robot("g1"), load_robot(write_half(tmp_path))
+    alone = load_hand(robot_files()["g1"].parent / "left.yaml")
+    shares = np.linspace(0.0, 1.0, 11)[:, None]
+    moved = alone.rest + shares * (alone.upper_limits - alone.rest)
+    by_name = dict(zip(alone.joint_names, moved.T, strict=True))
+    found = []
+    for robot in (alone, half, whole):
+        # The other arm, which only the whole robot has, stays at rest.
+        q = np.tile(robot.rest, (len(shares), 1))
+        for i, name in enumerate(robot.joint_names):
+            q[:, i] = by_name.get(name, q[:, i])
+        found.append(measure_leaning(robot, q))
+    for leaning in found:
+        assert {*leaning.joints} == WAIST
+        assert leaning.bent_share == pytest.approx(1 / len(shares))
+        assert leaning.median == pytest.approx(found[0].median)
+        rows = {row["joint"]: row["most"] for row in leaning.rows}
+        for name in WAIST:
+            i = alone.joint_names.index(name)
+            expected = alone.upper_limits[i] - alone.rest[i]
+            assert rows[name] == pytest.approx(expected)
+
+
+def test_what_a_torso_slides_is_in_millimetres() -> None:
+    robot = load_robot("tiago_dual")
+    (torso,) = np.flatnonzero(robot.carries_limbs)
+    q = np.tile(robot.rest, (3, 1))
+    q[:, torso] += [0.0, 0.01, 0.02]
+    leaning = measure_leaning(robot, q)
+    assert leaning.median == pytest.approx(10.0)
+    assert leaning.bent_share == 0.0
+    # An arm that carries a hand alone cannot lean.
+    arm = load_hand("ur5_allegro")
+    still = measure_leaning(arm, arm.rest[None])
+    assert still.rows == []
+    assert np.isnan([still.median, still.bent_share]).all()
+
+
+@pytest.mark.slow
+def test_retarget_says_how_far_a_robot_with_one_hand_leans(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = str(write_half(tmp_path))
+    made = meeting_hands()["left"].part(slice(None, None, 6))
+    recording = tmp_path / "left.npz"
+    save_npz(
+        recording,
+        {
+            "time": made.time,
+            # A wrist at z = 0 would be one of a picture.
+            "landmarks": made.landmarks + np.array([0.0, 0.0, 1.0]),
+            "handedness": np.array("left"),
+        },
+    )
+    # Its own hand's recording is enough, and one of both hands has it.
+    for words in ([str(recording)], ["demo"]):
+        out = str(tmp_path / "out.npz")
+        assert cli.main(["retarget", *words, "--robot", robot, "--out", out]) == 0
+        printed = capsys.readouterr().out
+        (row,) = [line for line in printed.splitlines() if "leans" in line]
+        assert all(joint in row for joint in WAIST)
+    wrong = ["retarget", "demo::right", "--robot", robot, "--out", out]
+    assert cli.main(wrong) == 2
+    assert "right hand" in capsys.readouterr().err

@@ -184,7 +184,6 @@ class Retarget:
             "closing": self._closing(trajectory.robot, used)
             if summary["speed_limited_joints"]
             else None,
-            "robot": trajectory.robot.name,
             "inputs": [describe_input(recording) for recording in used],
             "alignment": getattr(method, "alignment", None),
             "out": str(out),

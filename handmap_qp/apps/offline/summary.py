@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 
 from handmap_core.se3 import lengths
-from handmap_qp.hands import Hand, Values, are_prismatic
+from handmap_qp.hands import Hand, Values
 from handmap_qp.human import Recording
 from handmap_qp.mapping import arm_held_by, fist_time
 from .closings import closing_times
+from .leaning import measure_leaning
 from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
@@ -79,7 +80,9 @@ def summarise(trajectory: Trajectory) -> Values:
             if shares[i] > 0.0
         ],
         "arm_out_of_reach": _arm(trajectory),
-        "leaning": _leaning(trajectory),
+        "leaning": measure_leaning(
+            robot, trajectory.q[seen], trajectory.at_limit[seen]
+        ).rows,
     }
     # Plain numbers, for every encoder.
     return msgspec.to_builtins(found, enc_hook=np.generic.item)
@@ -261,24 +264,6 @@ def _time_rows(summary: Values) -> dict[str, str]:
     if summary["acceleration_max"] is not None:
         rows["largest acceleration"] = f"{summary['acceleration_max']:.3g} per s^2"
     return rows
-
-
-def _leaning(trajectory: Trajectory) -> list[Values]:
-    """Measure how far joints that carry another limb went from rest; see `summarise`."""
-    robot = trajectory.robot
-    seen = trajectory.valid
-    away = np.abs(trajectory.q[seen] - robot.rest)
-    is_bent = trajectory.at_limit[seen]
-    slides = are_prismatic(robot)
-    return [
-        {
-            "joint": robot.joint_names[i],
-            "most": away[:, i].max(),
-            "at_limit_share": is_bent[:, i].mean(),
-            "is_angle": not slides[i],
-        }
-        for i in np.flatnonzero(robot.carries_limbs)
-    ]
 
 
 def _leaning_rows(summary: Values) -> dict[str, str]:
