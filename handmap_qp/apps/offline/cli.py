@@ -35,6 +35,8 @@ from .moments import MappedMotion, save_moments
 from .summary import compare_closing, notes, summarise, table_rows
 from .trajectory import map_hands
 
+PICTURE_FORMS = (".png", ".webp", ".svg", ".pdf")
+"""Suffixes of the picture, the usual one first."""
 _TOUCHES = "teleoperation of one hand, with a wrist that moves, at scale 1"
 """What can map an object."""
 
@@ -71,7 +73,7 @@ class Retarget:
             `handmap robots list`, or the path of its robot.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
-        picture: Picture of moments to draw, .png, .svg or .pdf; with --robots of both hands.
+        picture: Picture of moments to draw, .png, .webp, .svg or .pdf; with --robots of both hands.
         mirror: Map the mirror image of a recording of the other hand.
         person: File of the person's hand, of `handmap calibrate`.
         json: Print the summary as one JSON object instead of a table; with --robots a list.
@@ -100,7 +102,7 @@ class Retarget:
         """Read, measure and map, write the trajectories, and print summaries."""
         # Files are checked before any work is done.
         if self.picture:
-            check_output("--picture", self.picture, (".png", ".svg", ".pdf"))
+            check_output("--picture", self.picture, PICTURE_FORMS)
             require_drawing()
         moves = [
             (robot, used, self._out(used[0], robot)) for robot, used in self._read()
