@@ -7,7 +7,7 @@ its hands follows close by, in its palm frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -129,7 +129,8 @@ def _overview(motion: ShownMotion, shape: HandShape) -> list[SheetColumn]:
     for i in range(len(motion.q)):
         seen = [hand.landmarks[i] for hand in motion.hands if hand.is_seen[i]]
         people.append(merged([human_triangles(points @ turn.T) for points in seen]))
-    robots = [shape.triangles(q).moved(affine(axes)) for q in motion.q]
+    # One after the other: a robot may have half a million triangles.
+    robots = (shape.triangles(q).moved(affine(axes)) for q in motion.q)
     corners = merged(people).vertices.reshape(-1, 3)
     size = PERSON_WIDTH, ROW_HEIGHT
     person = _pictures(people, corners, size, HUMAN_BACKGROUND)
@@ -142,7 +143,7 @@ def _overview(motion: ShownMotion, shape: HandShape) -> list[SheetColumn]:
 
 
 def _pictures(
-    solids: Sequence[Triangles],
+    solids: Iterable[Triangles],
     corners: Array,
     size: tuple[int, int],
     background: float,
@@ -166,8 +167,9 @@ def _moving_corners(motion: ShownMotion, shape: HandShape, axes: Array) -> Array
     for name, solid in shape.links.items():
         links[frames[name].parentJoint > 0][name] = solid
     still, moving = (HandShape(shape.hand, each) for each in links)
-    corners = merged([moving.triangles(q) for q in motion.q]).vertices.reshape(-1, 3)
-    others = still.triangles(motion.q[0]).vertices.reshape(-1, 3)
+    # One corner of each triangle is enough: the picture has a margin.
+    corners = np.concatenate([moving.triangles(q).vertices[:, 0] for q in motion.q])
+    others = still.triangles(motion.q[0]).vertices[:, 0]
     low, high = corners.min(axis=0) - _AROUND, corners.max(axis=0) + _AROUND
     is_near = ((low <= others) & (others <= high)).all(axis=1)
     return np.concatenate([corners, others[is_near]]) @ axes.T
