@@ -43,7 +43,7 @@ def draw(folder: Path, robots: list[str], seed: int, poses: list[Pose]) -> None:
     key: dict[str, dict[str, list[str]]] = {}
     for name in robots:
         robot = shared_hands.load(name)
-        joints = [map_tour(robot, poses, order, METHODS[0])[1]]
+        joints = [map_tour(robot, poses, order, METHODS[0]).q]
         joints += [
             run_peer(method, tour, robot).q[step - 1 :: step] for method in METHODS[1:]
         ]

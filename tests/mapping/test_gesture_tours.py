@@ -31,36 +31,36 @@ def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
         pytest.skip(str(error))
     poses = gesture_tours.read_poses()[::5]
     order = gesture_tours.tour(len(poses))
-    robot, q, wrist, still = gesture_tours.map_tour(hand, poses, order, "teleoperation")
+    motion = gesture_tours.map_tour(hand, poses, order, "teleoperation")
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)
     errors = gesture_tours.compare(
-        trace_human(shown, lengths), trace_robot(robot, q, wrist)
+        trace_human(shown, lengths), trace_robot(motion.robot, motion.q, motion.wrist)
     )
     fingers = [i for i, finger in enumerate(errors.names) if finger != "thumb"]
     off = np.maximum(errors.direction, np.abs(errors.bend))[:, fingers]
     caught = (off > gesture_tours.CAUGHT).any(axis=1)
     # 13 poses; what is left are detours on their way when the next gesture begins.
     assert caught.mean() <= 0.015
-    assert still <= 5
+    assert motion.still <= 5
 
 
 def test_an_open_thumb_is_straight_on_people_that_nothing_was_tuned_on() -> None:
     poses = gesture_tours.read_held_back()
     order = gesture_tours.tour(len(poses))[:160]
     hand = load_hand("allegro_right")
-    robot, q, wrist, still = gesture_tours.map_tour(hand, poses, order, "teleoperation")
+    motion = gesture_tours.map_tour(hand, poses, order, "teleoperation")
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)
     errors = gesture_tours.compare(
-        trace_human(shown, lengths), trace_robot(robot, q, wrist)
+        trace_human(shown, lengths), trace_robot(motion.robot, motion.q, motion.wrist)
     )
     is_open = gesture_tours.thumb_away(shown) > 0.05
     assert is_open.sum() > 30
     last = errors.last[is_open, errors.names.index("thumb")]
     # Its change from rest, which was followed before, leaves it bent by 50 degrees.
     assert np.median(last) < 30.0
-    assert still == 0
+    assert motion.still == 0
 
 
 def test_a_thumb_is_as_far_away_as_the_nearest_bone() -> None:

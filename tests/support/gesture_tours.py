@@ -1,7 +1,8 @@
 """Labelled poses of people, each after every other: how a robot shows them, and who is caught.
 
 Poses are those of `handmap score`. Every pose of a right hand follows every other one, half a
-second between them (minimum jerk) and half a second each. The palm stays.
+second between them (minimum jerk) and half a second each, or as long as the robot needs (`PACES`).
+The palm stays.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from arrivals import shapes_of
 from handmap_score.gestures import SOURCES, Source, read_gestures
 
 from handmap_qp import Hand, HandMapper, Recording
 from handmap_qp.apps.offline.fidelity import angles_between
 from handmap_qp.apps.offline.hand_trace import (
-    KNUCKLE,
     MIDDLE,
     TIP,
     HandTrace,
@@ -30,6 +31,11 @@ from handmap_qp.mapping.hand_pair import points_in_palm
 RATE = 60.0
 """Samples per second."""
 _MOVE, _HOLD = 30, 30
+"""Samples of a motion, and of the shortest hold."""
+LONGEST_HOLD = 8.0
+"""Time after which a person who waits for the robot goes on [s]."""
+RESTING = 0.05
+"""Speed below which a joint rests [rad/s]."""
 HELD_BACK = Path(__file__).parents[1] / "data" / "held_back" / "handy-work.npz"
 """Poses that no mapping was tuned on; see the README beside them."""
 CAUGHT = 60.0
@@ -106,47 +112,177 @@ def tour(count: int) -> list[int]:
     return order
 
 
+def random_tour(count: int, transitions: int, seed: int) -> list[int]:
+    """Return an order of random poses, none of which follows itself.
+
+    Args:
+        count: How many poses there are, at least 2.
+        transitions: How many poses follow the first one.
+        seed: Of the generator.
+    """
+    rng = np.random.default_rng(seed)
+    steps = rng.integers(1, count, transitions)
+    return (np.cumsum([rng.integers(count), *steps]) % count).tolist()
+
+
+class Pace(NamedTuple):
+    """How fast the person is.
+
+    Attributes:
+        waits: Whether the person holds every pose until no joint has been faster than `RESTING`
+            for half a second, or for `LONGEST_HOLD`.
+        slows: Whether the person moves as slowly as the robot's joints need (`samples_of_move`).
+    """
+
+    waits: bool = False
+    slows: bool = False
+
+
+PACES = {
+    "half-second": Pace(),
+    "wait": Pace(waits=True),
+    "own": Pace(waits=True, slows=True),
+}
+"""Half a second for everything; half a second for motions alone; and the robot hand's own pace."""
+
+
+def samples_of_move(before: np.ndarray, now: np.ndarray, limits: np.ndarray) -> int:
+    """Return how many samples a motion lasts in which no joint of the robot needs its limit.
+
+    It is the longest travel of any joint over its speed limit, times 15/8: so much faster than its
+    mean is a motion of minimum jerk in its middle. It is at least half a second.
+
+    Args:
+        before: Joints of the robot at rest in the pose before [rad], shape (n,).
+        now: Those in the next pose.
+        limits: Its speed limits [rad/s], shape (n,).
+    """
+    seconds = 15.0 / 8.0 * (np.abs(now - before) / limits).max()
+    return max(_MOVE, int(np.ceil(RATE * seconds)))
+
+
+def _has_rested(rows: Sequence[np.ndarray]) -> bool:
+    """Return whether no joint moved faster than `RESTING`, on average, in the shortest hold."""
+    if len(rows) <= _HOLD:
+        return False
+    travel = np.ptp(rows[-_HOLD - 1 :], axis=0).max()
+    return bool(travel <= RESTING * _HOLD / RATE)
+
+
+def moving(before: np.ndarray, now: np.ndarray, samples: int) -> np.ndarray:
+    """Return landmarks from pose to pose by minimum jerk, shape (samples, 21, 3).
+
+    The first sample is behind the pose before, and the last one is the pose.
+    """
+    share = np.linspace(0.0, 1.0, samples + 1)[1:]
+    ease = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    return before + ease[:, None, None] * (now - before)
+
+
 def stream(poses: Sequence[Pose], order: Sequence[int]) -> Iterator[np.ndarray]:
     """Return landmarks of all samples: to each pose by minimum jerk, and still there."""
-    share = np.linspace(0.0, 1.0, _MOVE + 1)[1:]
-    ease = share**3 * (10.0 + share * (6.0 * share - 15.0))
     before = poses[order[0]].landmarks
     for k in order:
         now = poses[k].landmarks
-        for x in ease:
-            yield before + x * (now - before)
-        for _ in range(_HOLD):
-            yield now
+        yield from moving(before, now, _MOVE)
+        yield from [now] * _HOLD
         before = now
 
 
-def map_tour(
-    robot: Hand, poses: Sequence[Pose], order: Sequence[int], preset: str
-) -> tuple[Hand, np.ndarray, np.ndarray, int]:
-    """Map the poses after one another.
+class TourMotion(NamedTuple):
+    """A robot that follows poses.
 
-    Returns:
-        The robot, joints and wrist at each pose's end, and the number of samples in which the robot
-        stood still while the person moved.
+    Attributes:
+        robot: The robot.
+        q: Its joints at the end of each of the m poses [rad], shape (m, n).
+        wrist: Its wrist there, shape (m, 4, 4).
+        held: Its joints from the person's last motion to the end of each pose, shape (T, n) each.
+        still: Number of samples in which the robot stood still while the person moved.
     """
+
+    robot: Hand
+    q: np.ndarray
+    wrist: np.ndarray
+    held: list[np.ndarray]
+    still: int
+
+
+def scaled_to(poses: Sequence[Pose]) -> Hand:
+    """Return the human hand, scaled to poses."""
     every = np.array([pose.landmarks for pose in poses])
     whole = Recording(
         "poses", np.arange(len(every)) / RATE, every, np.ones(len(every), bool), "right"
     )
-    human = scaled_human(whole, points="landmarks")
-    mapper = HandMapper(human, robot, preset, dt=1.0 / RATE)
-    q, wrist, still, last = [], [], 0, None
-    for i, landmarks in enumerate(stream(poses, order)):
-        step = mapper.map_landmarks(landmarks)
-        # The ease in and out at both ends of a way is slow.
-        if last is not None and 5 <= i % (_MOVE + _HOLD) < _MOVE - 5:
-            is_other = order[i // (_MOVE + _HOLD)] != order[i // (_MOVE + _HOLD) - 1]
-            still += is_other and np.abs(step.command.q - last).max() < 1e-9
-        last = step.command.q
-        if (i + 1) % (_MOVE + _HOLD) == 0:
-            q.append(step.command.q)
-            wrist.append(step.command.wrist)
-    return mapper.robot, np.array(q), np.array(wrist), int(still)
+    return scaled_human(whole, points="landmarks")
+
+
+def settle(robot: Hand, poses: Sequence[Pose], preset: str) -> np.ndarray:
+    """Return the robot's joints at rest in each pose, which it meets from its rest posture.
+
+    Args:
+        robot: The robot.
+        poses: The m poses.
+        preset: The mapping.
+
+    Returns:
+        Joints [rad], shape (m, n).
+    """
+    human = scaled_to(poses)
+    found = []
+    for pose in poses:
+        mapper = HandMapper(human, robot, preset, dt=1.0 / RATE)
+        rows = []
+        while len(rows) < LONGEST_HOLD * RATE and not _has_rested(rows):
+            rows.append(mapper.map_landmarks(pose.landmarks).command.q)
+        found.append(rows[-1])
+    return np.array(found)
+
+
+def map_tour(
+    robot: Hand,
+    poses: Sequence[Pose],
+    order: Sequence[int],
+    preset: str,
+    pace: Pace = PACES["half-second"],
+    settled: np.ndarray | None = None,
+) -> TourMotion:
+    """Map the poses after one another.
+
+    Args:
+        robot: The robot.
+        poses: The poses.
+        order: Which poses follow each other.
+        preset: The mapping.
+        pace: How fast the person is.
+        settled: Result of `settle`, for a pace that slows; computed if omitted.
+    """
+    mapper = HandMapper(scaled_to(poses), robot, preset, dt=1.0 / RATE)
+    if pace.slows and settled is None:
+        settled = settle(robot, poses, preset)
+    longest = round(LONGEST_HOLD * RATE) if pace.waits else _HOLD
+    ends, held, still = [], [], 0
+    before = order[0]
+    for k in order:
+        count = _MOVE
+        if pace.slows and settled is not None:
+            count = samples_of_move(settled[before], settled[k], robot.velocity_limits)
+        way = moving(poses[before].landmarks, poses[k].landmarks, count)
+        moved = [mapper.map_landmarks(landmarks).command.q for landmarks in way]
+        if k != before:
+            # The ease in and out at both ends of a motion is slow.
+            fast = np.diff(moved[max(0, count // 6 - 1) : count - count // 6], axis=0)
+            still += int((np.abs(fast).max(axis=1) < 1e-9).sum())
+        end = mapper.map_landmarks(poses[k].landmarks).command
+        rows = [moved[-1], end.q]
+        while len(rows) <= longest and not (pace.waits and _has_rested(rows)):
+            end = mapper.map_landmarks(poses[k].landmarks).command
+            rows.append(end.q)
+        ends.append(end)
+        held.append(np.array(rows))
+        before = k
+    q = np.array([end.q for end in ends])
+    wrist = np.array([end.wrist for end in ends])
+    return TourMotion(mapper.robot, q, wrist, held, still)
 
 
 def thumb_away(landmarks: np.ndarray) -> np.ndarray:
@@ -216,16 +352,10 @@ def compare(human: HandTrace, robot: HandTrace) -> Errors:
     names = [name for name in human.names if name in robot.names]
     every = np.arange(len(human.palm))
     a, b = (trace.part(every, names).local for trace in (human, robot))
-
-    def bends(points: np.ndarray) -> np.ndarray:
-        first = points[:, :, MIDDLE] - points[:, :, KNUCKLE]
-        return angles_between(first, points[:, :, TIP] - points[:, :, MIDDLE])
-
+    meant, shown = shapes_of(a), shapes_of(b)
+    last = angles_between(
+        a[:, :, TIP] - a[:, :, MIDDLE], b[:, :, TIP] - b[:, :, MIDDLE]
+    )
     return Errors(
-        names,
-        angles_between(
-            a[:, :, TIP] - a[:, :, KNUCKLE], b[:, :, TIP] - b[:, :, KNUCKLE]
-        ),
-        angles_between(a[:, :, TIP] - a[:, :, MIDDLE], b[:, :, TIP] - b[:, :, MIDDLE]),
-        bends(b) - bends(a),
+        names, angles_between(meant.aim, shown.aim), last, shown.bend - meant.bend
     )
