@@ -88,9 +88,12 @@ def test_writes_tables_json_and_pictures(
     assert [line.split("/")[-1] for line in printed.out.splitlines()[-4:]] == names
 
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    methods = ["teleoperation", "paper", "theirs", "failing"]
+    methods = ["teleoperation", "paper", "theirs", "theirs+limits"]
+    methods += ["failing", "failing+limits"]
     assert list(results["overall"]) == methods
     assert results["methods"]["theirs"] == {"about": "theirs 1.0"}
+    limited = results["methods"]["theirs+limits"]["about"]
+    assert limited == "theirs 1.0, clipped by the joints' limits"
     assert [metric["key"] for metric in results["metrics"]] == [m.key for m in METRICS]
     assert [(r["name"], r["is_mirrored"]) for r in results["recordings"]] == [
         ("one", False),
@@ -127,10 +130,10 @@ def test_writes_tables_json_and_pictures(
 def check_pictures(out: Path) -> None:
     """Check the pixels: one column for the human and each method that did not fail."""
     sheet = picture(out / "poses.png")
-    assert sheet.shape[1] == cell_of(4, 0, 0)[0]
+    assert sheet.shape[1] == cell_of(5, 0, 0)[0]
     rows = (sheet.shape[0] - cell_of(0, 0, 0)[1]) // CELL[1]
     assert rows >= 2  # Rows: open hand and fist.
-    for column in range(4):
+    for column in range(5):
         x, y = cell_of(column, 0, 0)
         cell = sheet[y + 2 : y + CELL[1] - 2, x + 2 : x + CELL[0] - 2]
         assert has_colour(cell, FINGER_COLOURS["thumb"]), column
@@ -139,7 +142,7 @@ def check_pictures(out: Path) -> None:
         assert has_colour(cell, FINGER_COLOURS["little"]) == (column == 0), column
     metrics = picture(out / "metrics.png")
     # The metrics of an object in the hand do not arise, so there are four rows of panels, not five.
-    assert metrics.shape[0] / metrics.shape[1] < 0.4
+    assert metrics.shape[0] / metrics.shape[1] < 0.46
     ours, theirs = (200, 69, 47), (63, 111, 181)
     for colour in (ours, theirs):
         near = np.abs(255.0 * metrics - np.array(colour)).max(axis=2) < 3.0

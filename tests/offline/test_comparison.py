@@ -25,8 +25,10 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     peers_program,
     prepare_take,
+    with_limited,
 )
 from handmap_qp.apps.offline.hand_trace import TIP
+from handmap_qp.apps.offline.limited import clip_motion
 from handmap_qp.apps.offline.trajectory import RobotMotion, held_samples
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Side
@@ -298,6 +300,58 @@ def test_outside_program_that_fails_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "compare.py").write_text("print('no JSON')", encoding="utf-8")
     with pytest.raises(OutsideError, match="expected a JSON list of methods"):
         outside_methods(tmp_path, "three_finger")
+
+
+def jumping(robot: Hand, time: np.ndarray) -> RobotMotion:
+    """Return a motion that jumps between and beyond the limits of position."""
+    rng = np.random.default_rng(0)
+    low, high = robot.limits
+    q = rng.uniform(low - 1.0, high + 1.0, (len(time), len(low)))
+    wrist = np.tile(np.eye(4), (len(time), 1, 1))
+    return RobotMotion(robot, time, q, wrist, np.zeros(len(time)), "jumps")
+
+
+def test_clipped_motions_keep_all_limits_by_their_time_stamps(robot: Hand) -> None:
+    time = np.cumsum(np.random.default_rng(1).uniform(1e-3, 0.2, 200))
+    jumps = jumping(robot, time)
+    clipped = clip_motion(jumps)
+    low, high = robot.limits
+    assert ((low <= clipped.q) & (clipped.q <= high)).all()
+    assert (np.abs(clipped.speeds) <= robot.velocity_limits * (1.0 + 1e-9)).all()
+    assert (np.abs(clipped.speeds) > 0.999 * robot.velocity_limits).any()
+    np.testing.assert_array_equal(clipped.q[0], np.clip(jumps.q[0], low, high))
+    assert clipped.about == "jumps, clipped by the joints' limits"
+    # What keeps them already stays as it is.
+    np.testing.assert_allclose(clip_motion(clipped).q, clipped.q, rtol=0.0, atol=1e-12)
+
+
+def test_a_clipped_joint_comes_to_its_target_at_its_speed(robot: Hand) -> None:
+    time = np.arange(400) / 60.0
+    low, high = robot.limits
+    q = np.vstack([low, np.tile(high + 1.0, (len(time) - 1, 1))])
+    motion = replace(jumping(robot, time), q=q)
+    clipped = clip_motion(motion).q
+    expected = np.minimum(high, low + np.outer(time, robot.velocity_limits))
+    np.testing.assert_allclose(clipped, expected, atol=1e-9)
+
+
+def test_peers_are_run_once_for_both_forms(take: Take, robot: Hand) -> None:
+    calls = []
+
+    def jump(given: Take, hand: Hand) -> RobotMotion:
+        calls.append(given)
+        return jumping(hand, given.recording.time)
+
+    methods = with_limited({"theirs": ComparedMethod("theirs", jump)})
+    assert [*methods] == [method.name for method in methods.values()]
+    assert [*methods] == ["theirs", "theirs+limits"]
+    result = compare_methods([take], robot, [*methods.values()])
+    assert calls == [take]
+    free, limited = (result.overall[name] for name in methods)
+    assert free["speed_ratio"] > 1.1
+    assert free["outside_limits"] > 0.0
+    assert limited["speed_ratio"] == pytest.approx(1.0)
+    assert limited["outside_limits"] == 0.0
 
 
 PEERS = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"

@@ -42,6 +42,7 @@ from .comparison import (
     own_methods,
     peers_program,
     prepare_take,
+    with_limited,
 )
 from .metrics import METRICS, Metric, arising
 from .poses import POSES, rank_poses
@@ -93,8 +94,9 @@ class Compare:
             is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother
             motion, with +look-ahead for smoothing with the future too. Peers may be named too,
-            such as dexi-dexpilot; then --peers runs those only.
-        peers: Run the peers too.
+            such as dexi-dexpilot; then --peers runs those only. With +limits, joints of peers are
+            clipped by the robot's limits of position and speed.
+        peers: Run the peers too, as they are and with +limits.
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.
         person: File of the person's hand, of `handmap calibrate`, if all recordings are of one.
@@ -236,11 +238,11 @@ def results_of(comparison: Comparison) -> Values:
 
 
 def methods_of(request: Compare) -> list[ComparedMethod]:
-    """Return the methods by their names, peers last unless they are named."""
+    """Return the methods by their names, peers in both forms last unless they are named."""
     outside = {}
     if request.peers or any(map(is_peer, request.methods)):
         folder = request.peers_from or peers_program()
-        outside = outside_methods(folder, request.robot)
+        outside = with_limited(outside_methods(folder, request.robot))
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
     if request.peers and outside.keys().isdisjoint(names):

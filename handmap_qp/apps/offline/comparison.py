@@ -18,9 +18,9 @@ last line on stderr says why.
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -53,6 +53,7 @@ from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity
 from .hand_trace import HandTrace, trace_human, trace_robot
+from .limited import LIMITS, clip_motion
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
 from .trajectory import RobotMotion, held_samples, map_recording
@@ -366,6 +367,28 @@ def outside_methods(folder: Path, hand: str) -> dict[str, ComparedMethod]:
         one.name: ComparedMethod(one.name, partial(_map_outside, program, one, hand))
         for one in listed
     }
+
+
+def with_limited(methods: Mapping[str, ComparedMethod]) -> dict[str, ComparedMethod]:
+    """Return outside methods by name, each followed by itself within the limits of the robot.
+
+    The second is named with `+limits`. On a take that the first was just run on, it does not run
+    again.
+    """
+    found = {}
+    for name, method in methods.items():
+        latest = lru_cache(maxsize=1)(method.map_take)
+        limited = partial(_map_limited, latest)
+        found[name] = ComparedMethod(name, latest)
+        found[name + LIMITS] = ComparedMethod(name + LIMITS, limited)
+    return found
+
+
+def _map_limited(
+    map_take: Callable[[Take, Hand], RobotMotion], take: Take, robot: Hand
+) -> RobotMotion:
+    """Run a method, and clip its joints."""
+    return clip_motion(map_take(take, robot))
 
 
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:

@@ -23,6 +23,7 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     peers_program,
     prepare_take,
+    with_limited,
 )
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.trajectory import RobotMotion, map_hands, stretches
@@ -125,7 +126,7 @@ def chosen_methods(
     """
     outside = {}
     if peers or any(map(is_peer, names)):
-        outside = outside_methods(peers or peers_program(), robot)
+        outside = with_limited(outside_methods(peers or peers_program(), robot))
     names = names or own_methods()[:1]
     return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 

@@ -24,13 +24,12 @@ from handmap_qp.apps.offline.comparison import (
     outside_methods,
     peers_program,
 )
+from handmap_qp.apps.offline.limited import LIMITS, clip_step
 from handmap_qp.errors import InvalidInputError, did_you_mean
 from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array
 from .operator import HumanHand, Joints
 
-LIMITS = "+limits"
-"""Ending of the name of a peer whose joints are to be clipped."""
 _KNOWN_HAND = "allegro_right"
 _RESET = "reset"
 _PATIENCE = 5.0
@@ -187,11 +186,8 @@ class WithinLimits:
         """Return the clipped joints."""
         names = self._robot.joint_names
         joints = self._mapping.map(hand, dt)
-        q = np.clip([joints[name] for name in names], *self._robot.limits)
-        if self._last is not None:
-            step = self._robot.velocity_limits * dt
-            q = np.clip(q, self._last - step, self._last + step)
-        self._last = q
+        wanted = np.array([joints[name] for name in names])
+        self._last = q = clip_step(self._robot, wanted, self._last, dt)
         return dict(zip(names, q.tolist(), strict=True))
 
 
