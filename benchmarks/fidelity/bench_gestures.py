@@ -66,7 +66,7 @@ from handmap_score.reader import Reader
 from handmap_qp import Hand, HandmapError, HandMapper, Recording, read_recording
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
-from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.surface_gaps import GapMeter, whose_shapes
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.hands import FINGERS
 from handmap_qp.hands.human import HumanLengths
@@ -344,13 +344,14 @@ def main(words: Sequence[str] | None = None) -> None:
     if arguments.sheets:
         arguments.sheets.mkdir(parents=True, exist_ok=True)
     is_json = arguments.json == "-"
-    rows, starts = [], []
+    rows, starts, surfaces = [], [], {}
     for name in arguments.robots:
         try:
             robot = shared_hands.load(name)
         except (HandmapError, FileNotFoundError) as error:
             print(f"without {name}: {error}", file=sys.stderr)
             continue
+        surfaces[name] = whose_shapes(robot)
         for preset, pace in product(arguments.presets, arguments.paces):
             row, caught = measure(name, preset, pace, poses, order)
             rows.append(row)
@@ -361,7 +362,12 @@ def main(words: Sequence[str] | None = None) -> None:
                 draw_sheets(arguments.sheets, title, robot, caught)
         if arguments.start:
             starts += starts_of(name, arguments.recordings)
-    common.print_table("Gestures, degrees", rows, to_stderr=is_json)
+    common.print_table(
+        "Gestures, degrees",
+        rows,
+        to_stderr=is_json,
+        caption="closed, deepest_mm: " + "; ".join(surfaces.values()),
+    )
     if starts:
         common.print_table("Start dependence", starts, to_stderr=is_json)
     common.save_picture(arguments.picture, lambda: draw(rows))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -29,13 +31,14 @@ from handmap_qp.apps.offline.hand_trace import (
     trace_human,
     trace_robot,
 )
-from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.surface_gaps import GapMeter, with_urdf
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.sources import find_mesh, urdf_path
 
 RATE = 100.0
 
@@ -443,6 +446,62 @@ def test_fingers_that_reach_into_each_other_are_seen(allegro: Hand) -> None:
         q[spread] = angle
         deepest.append(GapMeter(allegro).nearest(q[None])[0])
     assert min(deepest) < 0.0
+
+
+_SIZES = {
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "box": ("size",),
+    "mesh": ("scale",),
+}
+
+
+def with_larger_shapes(hand: Hand, factor: float, folder: Path) -> Path:
+    """Write a hand's URDF with collision shapes that are larger by a factor, in their places."""
+    source = urdf_path(hand.spec)
+    tree = ElementTree.parse(source)
+    for shape in tree.iterfind(".//collision/geometry/*"):
+        for key in _SIZES[shape.tag]:
+            sizes = shape.get(key, "1 1 1").split()
+            shape.set(key, " ".join(str(factor * float(size)) for size in sizes))
+        if "filename" in shape.attrib:
+            shape.set(
+                "filename", str(find_mesh(shape.attrib["filename"], source.parent))
+            )
+    file = folder / f"larger_{factor}.urdf"
+    tree.write(file)
+    return file
+
+
+def test_surfaces_of_another_description_are_measured_and_named(
+    allegro: Hand, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(3)
+    q = rng.uniform(*allegro.limits, (20, len(allegro.joint_names)))
+    own = GapMeter(allegro)
+    assert allegro.name in own.whose
+    same = GapMeter(
+        allegro, with_urdf(allegro, with_larger_shapes(allegro, 1.0, tmp_path))
+    )
+    file = with_larger_shapes(allegro, 1.1, tmp_path)
+    larger = GapMeter(allegro, with_urdf(allegro, file))
+    assert file.name in larger.whose
+    assert larger.whose != own.whose
+    for finger, gaps in own.pinches(q).items():
+        np.testing.assert_allclose(same.pinches(q)[finger], gaps, atol=1e-9)
+        # Boxes and spheres of tips grow on all sides, by at least a tenth of a sphere of 12 mm.
+        assert (larger.pinches(q)[finger] < gaps - 1e-3).all()
+
+
+def test_shapes_of_another_hand_are_refused(allegro: Hand, tmp_path: Path) -> None:
+    other = load_hand("three_finger")
+    with pytest.raises(InvalidInputError, match="--shapes: expected a URDF with the"):
+        with_urdf(allegro, urdf_path(other.spec))
+    renamed = tmp_path / "renamed.urdf"
+    text = urdf_path(allegro.spec).read_text().replace('"joint_15.0"', '"joint_16.0"')
+    renamed.write_text(text)
+    with pytest.raises(InvalidInputError, match="joint_16"):
+        with_urdf(allegro, renamed)
 
 
 @pytest.mark.parametrize("name", ["leap_right", "svh_right"])

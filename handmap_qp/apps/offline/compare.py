@@ -46,6 +46,7 @@ from .comparison import (
 )
 from .metrics import METRICS, Metric, arising
 from .poses import POSES, rank_poses
+from .surface_gaps import with_urdf
 from .trajectory import package_versions
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
@@ -98,6 +99,8 @@ class Compare:
             clipped by the robot's limits of position and speed.
         peers: Run the peers too, as they are and with +limits.
         peers_from: Folder of the program that runs the peers, compare.py.
+        shapes: URDF of the same robot, joints and links by the same names, whose collision shapes
+            measure pinches and penetration; the robot's own if omitted.
         out: Folder to write to; created if it does not exist.
         person: File of the person's hand, of `handmap calibrate`, if all recordings are of one.
         json: Print JSON instead of tables.
@@ -115,6 +118,7 @@ class Compare:
         Path | None,
         hinted("FOLDER", "(default: that of the package)"),
     ] = None
+    shapes: Annotated[Path | None, arg(metavar="URDF")] = None
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     person: PersonFile = None
     json: bool = False
@@ -132,12 +136,13 @@ class Compare:
             name = sided_name(name, self.inputs.side_of(self.recordings[0]))
         robot = load_hand(name)
         methods = methods_of(replace(self, robot=name))
+        shapes = with_urdf(robot, self.shapes) if self.shapes else None
         if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")
         with progress("comparing") as say:
             takes = takes_of(self, robot, say)
-            comparison = compare_methods(takes, robot, methods, say)
+            comparison = compare_methods(takes, robot, methods, say, shapes)
             written = _write(self.out, comparison, say) if self.out else []
         if self.json:
             print(msgspec.json.encode(results_of(comparison)).decode())
@@ -181,6 +186,7 @@ def markdown(comparison: Comparison) -> str:
 def notes_of(comparison: Comparison) -> list[str]:
     """Return footnotes: what methods did not do, and what was done to recordings."""
     notes = comparison.notes()
+    notes.append(f"surfaces of pinches and penetration: {comparison.whose_shapes}")
     if turned := [take.name for take in comparison.takes if take.is_mirrored]:
         notes.append(f"{_mirrored(comparison.robot)}: {', '.join(turned)}")
     if fitted := [take.name for take in comparison.takes if not take.has_wrist]:

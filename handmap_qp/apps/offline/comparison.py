@@ -56,6 +56,7 @@ from .hand_trace import HandTrace, trace_human, trace_robot
 from .limited import LIMITS, clip_motion
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
+from .surface_gaps import whose_shapes
 from .trajectory import RobotMotion, held_samples, map_recording
 
 PROGRAM = "compare.py"
@@ -155,16 +156,24 @@ class Comparison(NamedTuple):
         takes: The recordings, in the order given.
         methods: Names of the methods, in the order given.
         runs: Every method on every take, takes first.
+        shapes: The robot by the description whose shapes pinches and penetration are measured with;
+            None for its own.
     """
 
     robot: Hand
     takes: Sequence[Take]
     methods: Names
     runs: Sequence[Run]
+    shapes: Hand | None = None
 
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method, a take each."""
         return [run for run in self.runs if run.method == method]
+
+    @property
+    def whose_shapes(self) -> str:
+        """Whose shapes pinches and penetration are measured with, in words."""
+        return whose_shapes(self.shapes or self.robot)
 
     @property
     def overall(self) -> dict[str, Values]:
@@ -253,6 +262,7 @@ def compare_methods(
     robot: Hand,
     methods: Sequence[ComparedMethod],
     progress: Progress = lambda *_: None,
+    shapes: Hand | None = None,
 ) -> Comparison:
     """Run every method on every take, and measure what the robot does.
 
@@ -264,6 +274,8 @@ def compare_methods(
         methods: The methods.
         progress: Called before each run, and after the last, with the number of runs done, and the
             name of the run.
+        shapes: The robot by another description (`with_urdf`), whose shapes pinches and penetration
+            are measured with.
 
     Raises:
         InvalidInputError: If there is nothing to compare, two takes or methods have one name, a
@@ -291,9 +303,9 @@ def compare_methods(
     for take, method in product(takes, methods):
         done = len(runs)
         progress(done, f"{method.name} on {take.name} ({done} of {total})")
-        runs.append(_run(method, take, robot))
+        runs.append(_run(method, take, robot, shapes))
     progress(total, "measured")
-    return Comparison(robot, takes, names, runs)
+    return Comparison(robot, takes, names, runs, shapes)
 
 
 def peers_program() -> Path:
@@ -450,7 +462,7 @@ def _call(program: Path, *words: str | Path) -> str:
     return done.stdout
 
 
-def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
+def _run(method: ComparedMethod, take: Take, robot: Hand, shapes: Hand | None) -> Run:
     try:
         motion = method.map_take(take, robot)
     except HandmapError as error:
@@ -465,6 +477,7 @@ def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
         recording.valid,
         motion,
         take.q,
+        shapes,
     )
     if not motion.moves_wrist:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)

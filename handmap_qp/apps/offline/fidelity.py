@@ -91,6 +91,7 @@ def assess_fidelity(
     valid: Array,
     motion: RobotMotion | None = None,
     human_q: Array | None = None,
+    shapes: Hand | None = None,
 ) -> Fidelity:
     """Measure how well a robot's motion does what a human's meant.
 
@@ -101,6 +102,7 @@ def assess_fidelity(
         valid: Samples in which the hand was seen, shape (T,).
         motion: The same with its joints and step times, for surfaces, limits and workspace.
         human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
+        shapes: The robot by another description, whose shapes surfaces are measured with.
 
     Raises:
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
@@ -126,7 +128,7 @@ def assess_fidelity(
     pinch_samples = 0
     if motion:
         hand = motion.robot
-        pinch_samples, found = gap_metrics(h, GapMeter(hand), motion.q[counts])
+        pinch_samples, found = gap_metrics(h, GapMeter(hand, shapes), motion.q[counts])
         values |= found | joint_metrics(hand, motion.q, time, counts, human_q)
         values["pinch_order"] = pinch_order(h, r)
         values["workspace"] = workspace_share(r, sample_workspace(hand))

@@ -1,10 +1,13 @@
 """Distances between a robot hand's surfaces over time: pinches and self-penetration."""
 
 from itertools import product
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
+from handmap_core.errors import HandError, InvalidInputError, reason_of
 from handmap_core.se3 import Array
 from handmap_qp.hands import (
     THUMB,
@@ -13,6 +16,7 @@ from handmap_qp.hands import (
     find_fingers,
     paired,
     read_collision_shapes,
+    source_file,
 )
 from handmap_qp.ik import pair_bounds
 from handmap_qp.mapping import robot_fingers
@@ -22,18 +26,58 @@ FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
 
 
+def whose_shapes(hand: Hand) -> str:
+    """Return in words whose collision shapes are measured: the hand's, and its file."""
+    return f"collision shapes of {hand.name} ({source_file(hand.spec).name})"
+
+
+def with_urdf(hand: Hand, urdf: Path) -> Hand:
+    """Return the same hand by another URDF, for its shapes.
+
+    Args:
+        hand: The hand, whose hand.yaml names points on links.
+        urdf: A URDF with the same movable joints by name, and the same links.
+
+    Returns:
+        The hand, with joints in the same order.
+
+    Raises:
+        InvalidInputError: If the file cannot be read, or has other joints, or lacks a link that
+            hand.yaml names.
+    """
+    spec = msgspec.structs.replace(hand.spec, urdf=str(urdf.absolute()))
+    try:
+        return Hand(spec, mount=hand.mount)
+    except HandError as error:
+        raise InvalidInputError(
+            argument="--shapes",
+            expected=f"a URDF with the joints and links of {hand.name}",
+            got=f"{urdf}: {reason_of(error)}",
+        ) from error
+
+
 class GapMeter:
     """Measures signed gaps of one robot hand, negative where surfaces overlap.
 
     They are those of the collision shapes of its URDF, which are read once; meshes are their convex
-    hulls. The same motion gives the same numbers each time.
+    hulls, cylinders prisms. The core measures them by its own GJK, not by coal, whose distances of
+    convex meshes are wrong on some hands. The same motion gives the same numbers each time.
+
+    Args:
+        hand: The robot hand.
+        shapes: The same hand by another description (`with_urdf`), whose shapes are measured in
+            place of its own.
+
+    Attributes:
+        whose: The hand and the file whose shapes are measured, in words.
 
     Raises:
         HandError: If a shape cannot be read.
     """
 
-    def __init__(self, hand: Hand) -> None:
-        self._hand = hand
+    def __init__(self, hand: Hand, shapes: Hand | None = None) -> None:
+        self._hand = hand = shapes or hand
+        self.whose = whose_shapes(hand)
         shapes = read_collision_shapes(hand)
         ends = {
             finger: distal_shapes(chain, shapes)
