@@ -15,12 +15,13 @@ from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.tables import Row, rows_of
 from handmap_qp.hands import FINGERS, Hand, Values
 from handmap_qp.se3 import Array
-from .scoring import PARTS, READ, HandScore, Ranking, rank
+from .scoring import PARTS, READ, THUMB_ERROR, HandScore, Ranking, rank
 
 _LABELS = {
     **{key: key for key in (*PARTS, *READ)},
     **{metric.key: metric.label for metric in METRICS if metric.in_short},
     **{finger: f"{finger} dir. [deg]" for finger in FINGERS},
+    THUMB_ERROR: "thumb const. [deg]",
 }
 """Columns of the page, by the keys of their values."""
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import cdist
 
-from handmap_qp.apps.offline.hand_trace import HandTrace
-from handmap_qp.hands import Names, Side
+from handmap_qp.apps.offline.hand_trace import MIDDLE, TIP, HandTrace, angles_between
+from handmap_qp.hands import THUMB, Names, Side
 from handmap_qp.se3 import Array, lengths, unit
 from .gestures import Source, people, read_gestures
 
@@ -28,6 +28,31 @@ def signs(hand: HandTrace) -> Array:
     from_first = (tip - tip[:, :1]) / reach
     seen = np.hstack([from_knuckle, from_first, unit(tip - middle)])
     return seen.reshape(len(tip), -1)
+
+
+def constant_thumb_error(person: HandTrace, robot: HandTrace) -> float:
+    """Return how far off the thumb's last bone is in all gestures together [deg].
+
+    It is the angle between the means of both hands' directions, in palm axes: errors that differ
+    from gesture to gesture cancel out, and what is left is the same in each.
+
+    Args:
+        person: The person's hand, a sample for each gesture.
+        robot: The robot's, in the same samples.
+
+    Returns:
+        NaN if a hand has no thumb.
+    """
+    if not all(THUMB in hand.names for hand in (person, robot)):
+        return np.nan
+    one, other = (_last_bones(hand, THUMB).mean(axis=0) for hand in (person, robot))
+    return float(angles_between(one, other))
+
+
+def _last_bones(hand: HandTrace, finger: str) -> Array:
+    """Return directions from a finger's middle joint to its tip in palm axes, shape (T, 3)."""
+    points = hand.local[:, hand.names.index(finger)]
+    return unit(points[:, TIP] - points[:, MIDDLE])
 
 
 class Reader:
@@ -63,9 +88,10 @@ class Reader:
         self.alike = sorted(group for group in found if len(group) > 1)
 
     def read(self, hand: HandTrace, shown: Names) -> list[str]:
-        """Name the gestures of a hand that shows each as often as every other.
+        """Name the gestures of a hand.
 
-        What all of them have in common, such as a thumb that is set elsewhere, is overlooked.
+        Nothing that they have in common is overlooked: a thumb that is wrong in the same way in
+        each of them is seen wrong in each. Every gesture is read by itself.
 
         Args:
             hand: The reader's fingers of a hand, a sample for each time that it shows one.
@@ -75,8 +101,6 @@ class Reader:
             What each is taken for: the gesture itself if one that counts as the same.
         """
         wanted = [self._names.index(name) for name in shown]
-        seen = signs(hand)
-        seen += (self._means[wanted] - seen).mean(axis=0)
-        named = cdist(seen, self._means).argmin(axis=1)
+        named = cdist(signs(hand), self._means).argmin(axis=1)
         is_right = self.same[wanted, named]
         return [self._names[i] for i in np.where(is_right, wanted, named)]

@@ -20,7 +20,7 @@ from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.hands import Hand, Names, Values, find_fingers
 from handmap_qp.se3 import Array
 from .gestures import SOURCES, Performance, perform
-from .reader import Reader
+from .reader import Reader, constant_thumb_error
 
 FORMULA = (
     "score = 100 · (D + C + R) / 3 · (P + M + L) / 3, where "
@@ -35,6 +35,8 @@ PARTS = "DCRPML"
 READ = ("read", "people", "chance")
 """Columns beside those of `handmap compare`: share of gestures that the reader names right of the
 robot's, of the person's in the same samples, and without looking."""
+THUMB_ERROR = "thumb_constant_deg"
+"""Column of the error of the thumb's last bone that all gestures have in common [deg]."""
 LEVEL = 0.01
 """Mappings have places of their own if chance makes differences as theirs less often than this."""
 
@@ -47,8 +49,9 @@ class Scored:
         method: Name of the mapping.
         score: Mean of the scores.
         scores: Its score, by seed.
-        values: Means over the seeds: the columns of `handmap compare`, `READ`, the parts of the
-            score by their letters (`FORMULA`), and errors of direction by finger [deg].
+        values: Means over the seeds: the columns of `handmap compare`, `READ`, `THUMB_ERROR`, the
+            parts of the score by their letters (`FORMULA`), and errors of direction by finger
+            [deg].
         confused: How often in all seeds one gesture was taken for another, most often first.
     """
 
@@ -207,18 +210,20 @@ def _scored(
     for i, each in enumerate(shows):
         own = runs[count * i :][:count]
         motions = [run.motion for run in own if run.motion]
-        shown, read, people, chance = [], [], [], []
+        shown, read, people, chance, thumbs = [], [], [], [], []
         for motion, show, reader in zip(motions, each, readers, strict=True):
             robot = trace_robot(motion.robot, motion.q[show.samples])
             person = show.take.trace.part(show.samples, robot.names)
             shown += show.shown
             read += reader.read(robot, show.shown)
             people += reader.read(person, show.shown)
+            thumbs.append(constant_thumb_error(person, robot))
             chance += reader.same.mean(axis=0).tolist()
         named.update(zip(shown, read, strict=True))
         is_right = np.equal([read, people], shown).mean(axis=1)
         values = _columns([*own, *others])
         values |= zip(READ, [*is_right, fmean(chance)], strict=True)
+        values[THUMB_ERROR] = fmean(thumbs)
         parts = parts_of(values)
         values |= zip(PARTS, parts.flat, strict=True)
         seeds.append(values)
