@@ -16,11 +16,12 @@ from handmap_score.gestures import (
     JOINT_NOISE,
     SOURCES,
     TRACKER_NOISE,
+    people,
     perform,
     read_gestures,
 )
 from handmap_score.pages import votes_page
-from handmap_score.reader import Reader
+from handmap_score.reader import Reader, constant_thumb_error, signs
 from handmap_score.scoring import (
     LEVEL,
     HandScore,
@@ -30,6 +31,8 @@ from handmap_score.scoring import (
     score_hand,
     score_of,
 )
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm, ttest_rel
 
 from handmap_qp.apps.offline import fidelity
@@ -43,9 +46,10 @@ from handmap_qp.apps.offline.comparison import (
     own_method,
 )
 from handmap_qp.apps.offline.fidelity import ByFinger, sample_workspace
+from handmap_qp.apps.offline.hand_trace import HandTrace, trace_robot
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError, MissingPackageError
-from handmap_qp.hands import FINGERS, Hand, load_hand
+from handmap_qp.hands import FINGERS, THUMB, Hand, find_fingers, load_hand
 from handmap_qp.human import finger_chains
 from handmap_qp.trackers import check_recording
 
@@ -171,8 +175,9 @@ def test_perfect_robot_is_read_and_a_still_one_is_not(
 ) -> None:
     first, second = scored.mappings
     assert [first.method, second.method] == ["follow", "stand"]
-    assert first.values["people"] == first.values["read"] == 1.0
-    assert first.confused == {}
+    # People themselves are not read without fail: bones and palms are measured in each motion.
+    assert min(first.values["people"], first.values["read"]) > 0.98
+    assert sum(first.confused.values()) <= 2
     # Its score is not 100: the model's fingers are thick, and overlap in fists.
     assert first.score > 70.0
     assert second.values["read"] < 0.1
@@ -201,6 +206,96 @@ def test_shuffled_labels_fall_to_chance() -> None:
         right.append(np.equal(reader.read(shuffled, shown), shown).mean())
     assert np.mean(right) == pytest.approx(reader.same.mean(), abs=0.01)
     assert reader.same.mean() < 0.03
+
+
+def with_turned_thumb(hand: HandTrace, degrees: float, axis: int) -> HandTrace:
+    """Return a hand whose thumb is turned about an axis of its palm, in its CMC joint."""
+    thumb = hand.names.index(THUMB)
+    points = hand.local.copy()
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)[axis])
+    knuckle = points[:, thumb, :1]
+    own = points[:, thumb] - knuckle
+    points[:, thumb] = knuckle + turn.apply(own.reshape(-1, 3)).reshape(own.shape)
+    at_origin = np.tile(np.eye(4), (len(points), 1, 1))
+    return hand._replace(points=points, palm=at_origin)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_thumb_that_is_wrong_in_every_gesture_is_not_overlooked(axis: int) -> None:
+    right = wrong = count = 0
+    for source in SOURCES:
+        _, take, shown, samples = perform(source, 3, RATE, "right")
+        person = take.trace.part(samples, FINGERS)
+        reader = Reader(source, "right", FINGERS)
+        off = with_turned_thumb(person, 50.0, axis)
+        right += np.equal(reader.read(person, shown), shown).sum()
+        wrong += np.equal(reader.read(off, shown), shown).sum()
+        count += len(shown)
+        assert constant_thumb_error(person, person) == 0.0
+        assert 20.0 < constant_thumb_error(person, off) <= 50.0
+    assert right > 0.98 * count
+    assert wrong < 0.87 * count
+
+
+def test_a_gesture_is_read_by_itself() -> None:
+    _, take, shown, samples = perform(HANDY, 3, RATE, "right")
+    reader = Reader(HANDY, "right", FINGERS)
+    # Some are wrong, so that what is read is more than what is shown.
+    hand = with_turned_thumb(take.trace.part(samples, FINGERS), 50.0, 2)
+    alone = [
+        reader.read(hand.part(np.array([i]), FINGERS), shown[i : i + 1])[0]
+        for i in range(len(shown))
+    ]
+    assert reader.read(hand, shown) == alone
+
+
+def test_constant_errors_of_thumbs_are_those_of_all_gestures() -> None:
+    _, take, _, samples = perform(HANDY, 3, RATE, "right")
+    person = take.trace.part(samples, FINGERS)
+    # Half of them to either side: nothing is left in common.
+    half = np.arange(len(samples)) < len(samples) // 2
+    there, back = (with_turned_thumb(person, angle, 0) for angle in (20.0, -20.0))
+    both = there._replace(
+        points=np.where(half[:, None, None, None], there.points, back.points)
+    )
+    assert constant_thumb_error(person, there) > 15.0
+    assert constant_thumb_error(person, both) < 5.0
+    assert np.isnan(constant_thumb_error(person.part(half, FINGERS[1:]), person))
+
+
+def test_other_bases_of_fingers_alone_do_not_make_a_hand_misread() -> None:
+    """Nearest postures of hands of other proportions are read, without what they have in common."""
+    robot = load_hand("allegro_right")
+    fingers = tuple(find_fingers(robot))
+    reader = Reader(XRBLOCKS, "right", fingers)
+    shown = read_gestures(XRBLOCKS).names
+    low, high = robot.limits
+
+    def seen(share: np.ndarray) -> np.ndarray:
+        return signs(trace_robot(robot, low + np.atleast_2d(share) * (high - low)))
+
+    def jacobian(share: np.ndarray) -> np.ndarray:
+        step = np.where(share > 0.5, -1e-4, 1e-4)
+        rows = seen(np.vstack([share, share + np.diag(step)]))
+        return ((rows[1:] - rows[0]) / step[:, None]).T
+
+    start = (robot.rest - low) / (high - low)
+    person = people(XRBLOCKS, "right")
+    means = signs(person.part(np.arange(len(person.points)), fingers))
+    means = means.reshape(-1, len(shown), means.shape[1]).mean(axis=0)
+    nearest = [
+        least_squares(
+            lambda share, mean=mean: seen(share)[0] - mean,
+            start.clip(0.02, 0.98),
+            jacobian,
+            bounds=(0.0, 1.0),
+            xtol=1e-2,
+            ftol=1e-2,
+        ).x
+        for mean in means
+    ]
+    shows = trace_robot(robot, low + np.array(nearest) * (high - low))
+    assert np.equal(reader.read(shows, shown), shown).mean() > 0.9
 
 
 def test_fewer_fingers_tell_fewer_gestures_apart() -> None:
@@ -405,6 +500,13 @@ def test_hands_whose_fingers_have_no_names_are_refused(
 ) -> None:
     monkeypatch.setattr(cli, "find_fingers", lambda robot: {})
     refused(cli.Score(hands=("three_finger",)), "--hands")
+
+
+def test_shapes_are_of_one_hand_and_not_of_tasks() -> None:
+    urdf = Path("other.urdf")
+    refused(cli.Score(hands=("three_finger", "human"), shapes=urdf), "--shapes")
+    refused(cli.Score(hands=("three_finger",), shapes=urdf), "--shapes")
+    refused(cli.Score(tasks=("pick",), shapes=urdf), "--shapes")
 
 
 def test_mappings_go_on_without_peers_that_cannot_run(

@@ -17,6 +17,7 @@ from handmap_qp.apps.offline.comparison import (
     base_name,
     own_methods,
 )
+from handmap_qp.apps.offline.surface_gaps import with_urdf
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import expect, warn
@@ -95,6 +96,8 @@ class Score:
         seeds: Seeds of the performances.
         recordings: Further recordings for all columns but reading.
         peers: Run the peers too.
+        shapes: URDF of the hand, joints and links by the same names, whose collision shapes
+            measure pinches and penetration; its own if omitted.
         full: Take all hands, five seeds, twice as many samples a second, and all pictures.
         json: Print JSON instead of a table.
         tasks: Tasks in closed loop; all if none is named.
@@ -112,6 +115,7 @@ class Score:
     seeds: Annotated[tuple[int, ...], hinted("SEED...", "(default: 0 1 2)")] = ()
     recordings: Annotated[tuple[Path, ...], hinted("FILE...")] = ()
     peers: bool = False
+    shapes: Annotated[Path | None, arg(metavar="URDF")] = None
     full: bool = False
     json: bool = False
     tasks: Annotated[Names | None, hinted("TASK...", "(default: gestures)")] = None
@@ -150,13 +154,21 @@ class Score:
         if not self.peers:
             about["peers"] = "not run; `pip install 'handmap-qp[peers]'`, then --peers"
         wanted = self._wanted(HANDS[: amount.hands], about)
+        shapes = None
+        if self.shapes:
+            names = [robot.name for _, robot, _ in wanted]
+            expect(len(names) == 1, "--shapes", "one hand in --hands", got=names)
+            shapes = with_urdf(wanted[0][1], self.shapes)
         make_folder(self.out, "--out")
         scores = []
         for request, robot, methods in wanted:
             with progress(f"{robot.name}:") as say:
                 takes = takes_of(request, robot, say)
-                score = score_hand(robot, methods, takes, seeds, amount.rate, say)
+                score = score_hand(
+                    robot, methods, takes, seeds, amount.rate, say, shapes
+                )
             scores.append(score)
+            about[f"surfaces: {robot.name}"] = score.surfaces
             about |= {f"recording: {t.name}": t.recording.source for t in takes}
         results = results_of(scores, about)
         with progress("drawing, which takes a minute"):
@@ -168,7 +180,9 @@ class Score:
         for name, page in pages.items():
             with replaced_file(self.out / name, "--out") as file:
                 file.write(page.encode())
-        tables = {"Score, mean over the seeds": results["overview"]}
+        surfaces = "; ".join(score.surfaces for score in scores)
+        title = f"Score, mean over the seeds; surfaces: {surfaces}"
+        tables = {title: results["overview"]}
         written = map(self.out.joinpath, pages)
         print_result(results, tables, written, as_json=self.json)
 
@@ -189,6 +203,7 @@ class Score:
         )
 
         expect(not self.recordings, "--recordings", "none with --tasks", got="files")
+        expect(not self.shapes, "--shapes", "none with --tasks", got="a file")
         usual = FULL_ATTEMPTS if self.full else ATTEMPTS
         attempts = usual if self.attempts is None else self.attempts
         processes = 0 if self.processes is None else self.processes

@@ -85,6 +85,7 @@ class HandScore:
         robot: The hand.
         mappings: Those that did not fail, best first.
         notes: What the others did not do.
+        surfaces: Whose shapes pinches and penetration are measured with.
         ranking: Their places.
         alike: Gestures that count as one, because the hand's fingers would not tell them apart.
         sheet: The end of every gesture in the first seed, with the joints of every mapping.
@@ -93,6 +94,7 @@ class HandScore:
     robot: Hand
     mappings: list[Scored]
     notes: list[str]
+    surfaces: str
     ranking: Ranking
     alike: list[Names]
     sheet: list[SheetRow]
@@ -156,6 +158,7 @@ def score_hand(
     seeds: tuple[int, ...],
     rate: float,
     progress: Progress = lambda *_: None,
+    shapes: Hand | None = None,
 ) -> HandScore:
     """Run mappings on a hand over all gestures, once a seed, and over further recordings.
 
@@ -166,6 +169,7 @@ def score_hand(
         seeds: Seeds of the performances.
         rate: Samples per second of the performances.
         progress: As of `compare_methods`.
+        shapes: As of `compare_methods`.
     """
     fingers = tuple(find_fingers(robot))
     readers = [Reader(source, robot.side, fingers) for source in SOURCES]
@@ -174,7 +178,7 @@ def score_hand(
         for seed in seeds
     ]
     shown = [show.take for each in shows for show in each]
-    compared = compare_methods([*shown, *takes], robot, methods, progress)
+    compared = compare_methods([*shown, *takes], robot, methods, progress, shapes)
     runs = {name: compared.of_method(name) for name in compared.methods}
     mappings = [
         _scored(name, own, shows, readers)
@@ -191,6 +195,7 @@ def score_hand(
         robot,
         mappings,
         compared.notes(),
+        compared.whose_shapes,
         ranking=rank(scores.reshape(-1, len(seeds))),
         alike=[group for reader in readers for group in reader.alike],
         sheet=sheet,
