@@ -46,7 +46,7 @@ class PublishedTeleoperation:
         distances = lengths(now[model.to_points] - now[model.from_points])
         extensions, gaps = np.split(distances, [len(model.human_reach)])
         extensions = extensions / model.human_reach
-        pinching = pinch_shares(model, gaps)
+        pinching = pinch_shares(model, gaps, extensions[1 : len(gaps) + 1])
         aims = row_aims(model, distances)
         aims[:1] = thumb_aim(model, now, extensions[:1], aims[:1])
         points = pointed(model, moved_points(model, fit, now), now, pinching)
@@ -125,12 +125,22 @@ def rest_posture(model: TeleoperationModel, gaps: Array) -> Array:
     return model.rest + shares @ model.pinch_rests / max(shares.sum(), 1.0)
 
 
-def pinch_shares(model: TeleoperationModel, gaps: Array) -> Array:
+def pinch_shares(
+    model: TeleoperationModel, gaps: Array, extensions: float | Array = 0.0
+) -> Array:
     """Return the share of its weight that each pinch row has at a gap [m], shape (p,) both.
 
-    It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
+    It goes smoothly from 0 to 1 as thumb and finger come near, later if the finger is straight;
+    jaws follow a gap of any size.
+
+    Args:
+        model: The method for two hands.
+        gaps: Gap of the thumb and each finger [m], shape (p,).
+        extensions: Share of its reach that each of these fingers has, shape (p,).
     """
-    return _smooth((model.pinch_from - gaps) / model.pinch_over)
+    straight = np.asarray(extensions - model.straight_from) / model.straight_over
+    less = model.straight_less * _smooth(straight)
+    return _smooth((model.pinch_from - less - gaps) / (model.pinch_over - less))
 
 
 def _smooth(share: Array) -> Array:

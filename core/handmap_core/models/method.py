@@ -123,6 +123,9 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
         bone_ends: Where it ends, shape (b,).
         open_from: Distance of the thumb's tip from all bones from which on it is open [m].
         open_over: How much farther it is wholly open [m].
+        straight_from: Share of its reach from which on a finger is straight.
+        straight_over: How much more it is wholly straight.
+        straight_less: How much nearer thumb and a straight finger are where their row begins [m].
         pinch_rests: What each pinch adds to `rest`, shape (r - f, n).
         rest_from: Gap of thumb and finger below which it does [m].
         rest_over: How much smaller the gap is where it adds all of that [m].
@@ -168,6 +171,9 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
     bone_ends: Indices
     open_from: float
     open_over: float
+    straight_from: float
+    straight_over: float
+    straight_less: float
     pinch_rests: Matrix
     rest_from: float
     rest_over: float

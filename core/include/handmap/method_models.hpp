@@ -104,6 +104,7 @@ struct TeleoperationModel {
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
   Indices bone_starts, bone_ends;
   double open_from = 0.0, open_over = 1.0;
+  double straight_from = 0.0, straight_over = 1.0, straight_less = 0.0;
   Matrix pinch_rests;
   double rest_from = 0.0, rest_over = 1.0;
   DistancesModel distances;
@@ -149,6 +150,9 @@ struct TeleoperationModel {
     visit("bone_ends", bone_ends);
     visit("open_from", open_from);
     visit("open_over", open_over);
+    visit("straight_from", straight_from);
+    visit("straight_over", straight_over);
+    visit("straight_less", straight_less);
     visit("pinch_rests", pinch_rests);
     visit("rest_from", rest_from);
     visit("rest_over", rest_over);

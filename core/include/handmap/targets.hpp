@@ -303,7 +303,7 @@ class TeleoperationMap : public TargetMap {
       } else {
         const size_t p = k - fingers;
         gaps[p] = distance;
-        pinching[p] = smoothstep((of.pinch_from - distance) / of.pinch_over);
+        pinching[p] = pinch_share(distance, extensions[p + 1]);
         targets.weights[k] = of.pinch_weight * pinching[p];
       }
     }
@@ -344,6 +344,13 @@ class TeleoperationMap : public TargetMap {
   }
 
  private:
+  // Share of its weight that a pinch row has. A straight finger hardly pinches: its row begins later.
+  double pinch_share(double gap, double extension) const {
+    const TeleoperationModel& of = model_;
+    const double less = of.straight_less * smoothstep((extension - of.straight_from) / of.straight_over);
+    return smoothstep((of.pinch_from - less - gap) / (of.pinch_over - less));
+  }
+
   // A thumb that is away from all fingers is as straight as the person's, whatever it is at rest.
   void open_thumb(const std::vector<Vec3>& now, double extension, double& aim) const {
     const TeleoperationModel& of = model_;

@@ -70,6 +70,11 @@ _CONTACT_MOST = 0.005
 # over which it comes to be wholly open [m].
 _OPEN_FROM = 0.050
 _OPEN_OVER = 0.040
+# Shares of its reach from which on a finger is straight, and over which it comes to be wholly so;
+# how much nearer the thumb and a straight finger are where the row of their pinch begins [m].
+_STRAIGHT_FROM = 0.80
+_STRAIGHT_OVER = 0.15
+_STRAIGHT_LESS = 0.025
 # Gaps of thumb and finger at which the rest posture begins to become that of the pinch, and over
 # which it does [m]: from farther away than the pinch row, so that joints turn before pads are in
 # the way.
@@ -245,6 +250,9 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
             "bone_ends": bones[:, 1:].ravel(),
             "open_from": _OPEN_FROM,
             "open_over": _OPEN_OVER,
+            "straight_from": _STRAIGHT_FROM,
+            "straight_over": _STRAIGHT_OVER,
+            "straight_less": _STRAIGHT_LESS,
         }
 
     def _pinch_rests(self) -> Array:
