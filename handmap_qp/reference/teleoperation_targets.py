@@ -13,12 +13,18 @@ from handmap_core.models import PalmModel, TeleoperationModel
 from handmap_core.se3 import (
     Array,
     affine,
+    cross_matrices,
     inverse_pose,
     lengths,
     transform_points,
 )
 from handmap_qp.mapping import HumanPose, MotionEstimate, Targets
 from .estimation import estimate
+
+# Bones of a person are no nearer to each other [m].
+_SKIN = 1e-3
+# Least cosine of two directions of which one is turned onto the other.
+_BACK = -0.9
 
 
 class PublishedTeleoperation:
@@ -50,12 +56,15 @@ class PublishedTeleoperation:
         aims = row_aims(model, distances)
         aims[:1] = thumb_aim(model, now, extensions[:1], aims[:1])
         points = pointed(model, moved_points(model, fit, now), now, pinching)
+        points, lying = lying_thumb(model, points, now, gaps)
+        weights = np.append(model.extension_weights, model.pinch_weight * pinching)
+        weights[:1] *= 1.0 - (1.0 - model.lying_extension) * lying
         parts = [
             transform_points(palm, points),
             palm @ self._palm.robot_palm_to_wrist,
             aims,
-            np.append(model.extension_weights, model.pinch_weight * pinching),
-            contact_margins(model, gaps),
+            weights,
+            contact_margins(model, gaps, lying),
             fit.linear,
             fit.centroid_after,
             shape,
@@ -105,15 +114,86 @@ def thumb_aim(
     if len(model.from_points) == len(model.human_reach):
         # Without pinches, the first finger need not be a thumb.
         return aim
-    tip = now[model.to_points[0]]
-    starts = now[model.bone_starts]
-    bones = now[model.bone_ends] - starts
-    squares = np.maximum((bones**2).sum(axis=1), np.finfo(float).tiny)
-    shares = np.clip(((tip - starts) * bones).sum(axis=1) / squares, 0.0, 1.0)
-    nearest = lengths(tip - starts - shares[:, None] * bones).min()
+    nearest = lengths(thumb_offsets(model, now)[1]).min()
     share = _smooth((nearest - model.open_from) / model.open_over)
     straight = model.largest_aims[:1] * np.minimum(extension, 1.0)
     return aim + share * (straight - aim)
+
+
+def thumb_offsets(model: TeleoperationModel, now: Array) -> tuple[Array, Array]:
+    """Return where the thumb's tip is from each segment of the human's fingers.
+
+    Args:
+        model: The method for two hands.
+        now: The human's points in palm axes [m], shape (n_h, 3).
+
+    Returns:
+        Share of each segment at which it is nearest, shape (s,), and the vector from there to the
+        tip [m], shape (s, 3).
+    """
+    tip = now[model.to_points[0]]
+    starts = now[model.segment_starts]
+    along = now[model.segment_ends] - starts
+    squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    shares = np.clip(((tip - starts) * along).sum(axis=1) / squares, 0.0, 1.0)
+    return shares, tip - starts - shares[:, None] * along
+
+
+def lying_thumb(
+    model: TeleoperationModel, points: Array, now: Array, gaps: Array
+) -> tuple[Array, float]:
+    """Lay a thumb on the segment of a finger that the human's lies on.
+
+    On the same side of it, at the same share of its length, and as far away as the robot's two
+    fingers are thick. Segments count by the fourth power of their nearness.
+
+    Args:
+        model: The method for two hands.
+        points: Points in the robot's palm axes [m], shape (m, 3).
+        now: The human's points in palm axes [m], shape (n_h, 3).
+        gaps: Gap of the thumb's tip and each finger's [m], shape (p,).
+
+    Returns:
+        The points, shape (m, 3), and how far the thumb lies on a segment, from 0 to 1.
+    """
+    if not len(gaps):
+        return points, 0.0
+    shares, offsets = thumb_offsets(model, now)
+    distances = lengths(offsets)
+    near = _smooth((model.lying_from - distances) / model.lying_over)
+    near = np.where(distances > 0.0, near, 0.0)
+    apart = _smooth((gaps.min() - model.tips_from) / model.tips_over)
+    lying = float(model.lying_weight * near.max() * apart)
+    if not lying > 0.0:
+        return points, 0.0
+    is_base = model.segment_from[:, None] < 0
+    starts = np.where(is_base, model.segment_bases, points[model.segment_from])
+    robots = points[model.segment_to] - starts
+    humans = now[model.segment_ends] - now[model.segment_starts]
+    wanted = model.segment_touching + np.maximum(distances - model.skin_gap, 0.0)
+    turned = [
+        least_rotation(human, robot) @ offset
+        for human, robot, offset in zip(humans, robots, offsets, strict=True)
+    ]
+    # What the thumb does not lie on counts nothing, whatever its distance.
+    scales = wanted / np.where(near > 0.0, distances, 1.0)
+    places = starts + shares[:, None] * robots + scales[:, None] * np.array(turned)
+    weights = near / np.maximum(distances, _SKIN) ** 4
+    place = weights @ places / weights.sum()
+    is_thumb = (model.finger_of == 0)[:, None]
+    return points + is_thumb * lying * (place - points[0]), lying
+
+
+def least_rotation(human: Array, robot: Array) -> Array:
+    """Return the least rotation of one direction onto another one, shape (3, 3).
+
+    Beyond 154 degrees it stays behind: opposite directions do not say which way to turn.
+    """
+    scale = lengths(human) * lengths(robot)
+    if not scale > 0.0:
+        return np.eye(3)
+    K = cross_matrices(np.cross(human, robot) / scale)
+    return np.eye(3) + K + K @ K / (1.0 + max(human @ robot / scale, _BACK))
 
 
 def rest_posture(model: TeleoperationModel, gaps: Array) -> Array:
@@ -150,13 +230,16 @@ def _smooth(share: Array) -> Array:
     return x * x * (3.0 - 2.0 * x)
 
 
-def contact_margins(model: TeleoperationModel, gaps: Array) -> Array:
+def contact_margins(
+    model: TeleoperationModel, gaps: Array, lying: float = 0.0
+) -> Array:
     """Return the margin of every contact pair at the human's gaps [m], shape (k,).
 
-    That between thumb and finger widens with the gap, so that nothing touches.
+    That between thumb and finger widens with the gap, so that nothing touches, unless the thumb
+    lies on a finger.
     """
     wide = model.contact_slope * (gaps - model.contact_from)
-    wide = np.clip(wide, 0.0, model.contact_most)
+    wide = (1.0 - lying) * np.clip(wide, 0.0, model.contact_most)
     margins = model.base_margins.copy()
     margins[model.pinch_pairs] = model.pinch_margins + wide[model.pinch_of_pair]
     return margins

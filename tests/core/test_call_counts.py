@@ -205,7 +205,8 @@ def test_a_recording_that_is_followed(people: Iterator[Hand]) -> None:
     columns = sample_columns(recorded())
     Follower(HandMapper(next(people), ALLEGRO)).map_samples(columns)
     follower = Follower(HandMapper(next(people), ALLEGRO))
-    assert count_calls(lambda: follower.map_samples(columns)) <= 490
+    # Most of them prepare the first sample: a call for each array of the model.
+    assert count_calls(lambda: follower.map_samples(columns)) <= 492
 
 
 def test_pads_that_are_pressed_on_each_other() -> None:

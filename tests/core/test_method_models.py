@@ -28,6 +28,7 @@ HUMAN = load_hand("human", points="landmarks")
 ALLEGRO = load_hand("allegro_right")
 BOUND = BoundTeleoperation(Teleoperation(), HUMAN, ALLEGRO)
 REST = HumanPose(HUMAN.points(HUMAN.rest), np.eye(4))
+SEGMENTS = ("segment_starts", "segment_ends", "segment_from", "segment_to")
 
 
 VIEWS: Any = core.StepViews(*[cast("Any", list)] * 4)
@@ -73,15 +74,16 @@ def test_a_model_of_two_hands_is_one_for_all_references() -> None:
         ({"pinch_of_pair": BOUND.model.pinch_of_pair + 9}, "pinch_of_pair: expected"),
         ({"open_over": 0.0}, "open_over: expected a length above 0"),
         ({"rest_over": 0.0}, "rest_over: expected a length above 0"),
-        (
-            {"bone_starts": np.zeros(0, int), "bone_ends": np.zeros(0, int)},
-            "bone_starts: expected bones of the fingers",
-        ),
-        ({"bone_ends": BOUND.model.bone_ends[1:]}, "bone_ends: expected 9 of them"),
-        (
-            {"bone_starts": BOUND.model.bone_starts + 20},
-            "points of the human: expected",
-        ),
+        ({"straight_over": 0.0}, "straight_over: expected a share above 0"),
+        ({"straight_less": 0.06}, "pinch_over: expected more than straight_less"),
+        ({"lying_over": 0.0}, "lying_over: expected a length above 0"),
+        ({"tips_over": -1.0}, "tips_over: expected a length above 0"),
+        (dict.fromkeys(SEGMENTS, np.zeros(0, int)), "expected segments of the"),
+        ({"segment_ends": BOUND.model.segment_ends[1:]}, "segments: expected 9"),
+        ({"segment_starts": BOUND.model.segment_starts + 20}, "points of the human"),
+        ({"segment_from": BOUND.model.segment_from - 1}, "segment_from: expected"),
+        ({"segment_from": BOUND.model.segment_from + 11}, "segment_from: expected"),
+        ({"segment_to": BOUND.model.segment_to + 11}, "segment_to: expected"),
         ({"pinch_rests": np.zeros((3, 2))}, "pinch_rests: expected a posture of each"),
         ({"pinch_rests": np.zeros((2, 16))}, "pinch_rests: expected a posture of each"),
         ({"regularisation": np.zeros(2)}, "regularisation: expected 16 of them, got 2"),

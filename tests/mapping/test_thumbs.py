@@ -1,6 +1,8 @@
-"""Thumbs: as straight as the person's where they are open, and one way to a pinch from anywhere."""
+"""Thumbs: straight where they are open, on the person's finger, and one way to a pinch."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from handmap_core.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp import HandMapper, Teleoperation, load_hand
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
-from handmap_qp.se3 import Array
+from handmap_qp.reference.teleoperation_targets import least_rotation, pinch_shares
+from handmap_qp.se3 import Array, inverse_pose, transform_points
 
 HUMAN = load_hand("human", points="landmarks")
 ALLEGRO = load_hand("allegro_right")
@@ -122,3 +125,116 @@ def test_rest_is_the_mean_of_pinches_that_are_closed_at_once() -> None:
 def test_hands_like_the_persons_and_jaws_have_one_rest(name: str) -> None:
     bound = BoundTeleoperation(Teleoperation(), HUMAN, load_hand(name))
     np.testing.assert_array_equal(bound.model.pinch_rests, 0.0)
+
+
+MIDDLE = 2
+"""The finger that a thumb is laid on."""
+
+
+def thumb_on(height: float, turn: float = 0.0) -> Array:
+    """Return landmarks of a person whose thumb tip is at a height above a bent middle finger [m].
+
+    It is above the middle of the middle bone, turned about that from the front of the palm [rad].
+    """
+    points = HUMAN.points(HUMAN.rest)
+    knuckle, pip, dip, tip = BOUND.pair.bones[MIDDLE - 1]
+    along = points[dip] - points[pip]
+    length = np.linalg.norm(along)
+    along /= length
+    # Bent by a right angle to the palm's side, so that tips are far from each other.
+    front = np.cross(along, points[BOUND.pair.knuckles[1]] - points[knuckle])
+    front /= np.linalg.norm(front)
+    points[tip] = points[dip] - 0.05 * along
+    side = np.cross(along, front)
+    off = np.cos(turn) * front + np.sin(turn) * side
+    points[BOUND.pair.tips[0]] = points[pip] + 0.5 * length * along + height * off
+    return points
+
+
+def asked_points(points: Array) -> Array:
+    """Return the places that Allegro's points are asked for, in its palm axes [m]."""
+    step = HandMapper(HUMAN, ALLEGRO).map_points(points, np.eye(4))
+    palm = step.asked.wrist @ inverse_pose(ALLEGRO.wrist_to_palm)
+    return transform_points(inverse_pose(palm), step.asked.points)
+
+
+def test_a_thumb_on_a_finger_is_asked_to_touch_the_robots_on_the_same_side() -> None:
+    skin = MODEL.skin_gap
+    touching = MODEL.segment_touching[0]
+    offsets = []
+    for turn in (-0.5, 0.0, 0.5):
+        points = thumb_on(skin, turn)
+        asked = asked_points(points)
+        (segment,) = np.flatnonzero(
+            MODEL.segment_starts == BOUND.pair.bones[MIDDLE - 1][1]
+        )
+        ends = asked[[MODEL.segment_from[segment], MODEL.segment_to[segment]]]
+        offsets.append(asked[0] - ends.mean(axis=0))
+        # Its neighbours pull a little: they are 20 mm and more away.
+        assert np.linalg.norm(offsets[-1]) == pytest.approx(touching, abs=0.003)
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        assert abs(offsets[-1] @ along) < 0.003
+    turned = [angle_between(a, b) for a, b in pairwise(offsets)]
+    np.testing.assert_allclose(turned, 0.5, atol=0.15)
+
+
+def test_a_thumb_comes_to_lie_on_a_finger_without_a_jump() -> None:
+    heights = np.linspace(0.06, 0.008, 201)
+    asked = np.array([asked_points(thumb_on(height))[0] for height in heights])
+    steps = np.linalg.norm(np.diff(asked, axis=0), axis=1)
+    assert steps.max() < 0.004
+    # It is led by the segment at the end, and not at the start.
+    whole = np.linalg.norm(asked[-1] - asked[0])
+    assert whole > 0.03
+
+
+def test_a_lying_thumb_is_asked_less_for_an_extension() -> None:
+    step = HandMapper(HUMAN, ALLEGRO).map_points(thumb_on(0.012), np.eye(4))
+    (rows,) = step.asked.tasks
+    assert isinstance(rows, PointDistances)
+    left = MODEL.lying_extension * MODEL.extension_weights[0]
+    assert rows.weights[0] == pytest.approx(left, abs=1e-12)
+    far = HandMapper(HUMAN, ALLEGRO).map_points(thumb_on(0.05), np.eye(4))
+    (rows,) = far.asked.tasks
+    assert isinstance(rows, PointDistances)
+    assert rows.weights[0] == pytest.approx(MODEL.extension_weights[0])
+
+
+def test_a_pinch_leads_a_thumb_that_is_at_a_fingertip() -> None:
+    points = thumb_on(0.012)
+    points[BOUND.pair.tips[MIDDLE]] = points[BOUND.pair.tips[0]]
+    step = HandMapper(HUMAN, ALLEGRO).map_points(points, np.eye(4))
+    (rows,) = step.asked.tasks
+    assert isinstance(rows, PointDistances)
+    assert rows.weights[0] == pytest.approx(MODEL.extension_weights[0])
+
+
+@pytest.mark.parametrize("extension", [0.5, 1.0])
+def test_a_straight_finger_begins_to_pinch_later(extension: float) -> None:
+    straight = extension == 1.0
+    closed, half, wide = pinch_shares(MODEL, np.array([0.02, 0.0325, 0.056]), extension)
+    assert closed == pytest.approx(1.0)
+    assert half == pytest.approx(0.5 if straight else 0.84375)
+    assert bool(wide == 0.0) is straight
+
+
+def test_least_rotations_turn_one_direction_onto_another() -> None:
+    rng = np.random.default_rng(5)
+    for human, robot in rng.normal(size=(20, 2, 3)):
+        R = least_rotation(human, robot)
+        turned = R @ human / np.linalg.norm(human)
+        if human @ robot / np.linalg.norm(human) / np.linalg.norm(robot) > -0.9:
+            np.testing.assert_allclose(
+                turned, robot / np.linalg.norm(robot), atol=1e-12
+            )
+            np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+            axis = np.cross(human, robot)
+            np.testing.assert_allclose(R @ axis, axis, atol=1e-12)
+    opposite = least_rotation(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0]))
+    assert np.isfinite(opposite).all()
+
+
+def angle_between(first: Array, second: Array) -> float:
+    """Return the angle between two vectors [rad]."""
+    cosine = first @ second / np.linalg.norm(first) / np.linalg.norm(second)
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))

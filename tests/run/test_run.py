@@ -248,8 +248,8 @@ def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
             "of version 0.1.9, expected 0.2.0",
         ),
         (
-            lambda content: content.replace(b"form\x05", b"form\x09", 1),
-            "of form 9, expected 6 or less; install a newer handmap-core",
+            lambda content: content.replace(b"form\x07", b"form\x09", 1),
+            "of form 9, expected 8 or less; install a newer handmap-core",
         ),
     ],
     ids=["empty", "torn", "other", "text", "nested", "damaged", "version", "form"],

@@ -118,14 +118,25 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
         contact_slope: Rise of a pinch's margin with the gap of thumb and finger.
         contact_from: Gap at which it rises [m].
         contact_most: Largest rise [m].
-        bone_starts: Where each bone of the person begins, of fingers that both hands have but the
-            thumb, shape (b,).
-        bone_ends: Where it ends, shape (b,).
-        open_from: Distance of the thumb's tip from all bones from which on it is open [m].
+        open_from: Distance of the thumb's tip from all segments from which on it is open [m].
         open_over: How much farther it is wholly open [m].
         straight_from: Share of its reach from which on a finger is straight.
         straight_over: How much more it is wholly straight.
         straight_less: How much nearer thumb and a straight finger are where their row begins [m].
+        segment_starts: The human's point at which each segment of a finger begins, of those that
+            both hands have but the thumb, shape (s,).
+        segment_ends: The one at which it ends, shape (s,).
+        segment_from: The robot's point at which its segment begins, shape (s,); -1 for the base.
+        segment_to: The one at which it ends, shape (s,).
+        segment_bases: Base of the robot's finger, in palm axes [m], shape (s, 3).
+        segment_touching: Distance of the robot's thumb from the segment where they touch [m], (s,).
+        lying_weight: How far a thumb that lies on a segment is led by it, from 0 to 1.
+        lying_from: Distance from the human's segment below which the thumb lies on it [m].
+        lying_over: How much nearer it wholly does [m].
+        lying_extension: Share of the weight of the thumb's extension that is left there.
+        skin_gap: Distance of the human's landmarks at skin contact [m].
+        tips_from: Gap of the tips below which the pinch row alone leads them [m].
+        tips_over: How much wider it is where the segment wholly leads [m].
         pinch_rests: What each pinch adds to `rest`, shape (r - f, n).
         rest_from: Gap of thumb and finger below which it does [m].
         rest_over: How much smaller the gap is where it adds all of that [m].
@@ -167,13 +178,24 @@ class TeleoperationModel(Model, frozen=True, kw_only=True):
     contact_slope: float
     contact_from: float
     contact_most: float
-    bone_starts: Indices
-    bone_ends: Indices
     open_from: float
     open_over: float
     straight_from: float
     straight_over: float
     straight_less: float
+    segment_starts: Indices
+    segment_ends: Indices
+    segment_from: Indices
+    segment_to: Indices
+    segment_bases: Points
+    segment_touching: Vector
+    lying_weight: float
+    lying_from: float
+    lying_over: float
+    lying_extension: float
+    skin_gap: float
+    tips_from: float
+    tips_over: float
     pinch_rests: Matrix
     rest_from: float
     rest_over: float

@@ -13,8 +13,8 @@ from handmap_core.models import encode, unpacked
 from .records import HandFile, RobotFile
 
 KIND = "handmap hand"
-HAND = 5
-ROBOT = 6
+HAND = 7
+ROBOT = 8
 _FORMS = {HAND: ("one hand", "load"), ROBOT: ("a robot with two hands", "load_robot")}
 """What files of each form have, and what reads them."""
 
@@ -33,7 +33,8 @@ class _Head(msgspec.Struct, frozen=True):
         checksum: CRC-32 of `body`.
         body: A `HandFile` or a `RobotFile`, in msgpack again.
         form: Form of `body`. Files of forms 1 and 2 had fields by name, without types; the first
-            ones did not name it. Those of 3 and 4 had one rest posture for all samples.
+            ones did not name it. Those of 3 and 4 had one rest posture for all samples, and those
+            of 5 and 6 no segments of fingers for a thumb to lie on.
     """
 
     kind: str

@@ -102,9 +102,14 @@ struct TeleoperationModel {
   Indices pinch_pairs, pinch_of_pair;
   Vector pinch_margins;
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
-  Indices bone_starts, bone_ends;
   double open_from = 0.0, open_over = 1.0;
   double straight_from = 0.0, straight_over = 1.0, straight_less = 0.0;
+  Indices segment_starts, segment_ends, segment_from, segment_to;
+  std::vector<Vec3> segment_bases;
+  Vector segment_touching;
+  double lying_weight = 0.0, lying_from = 0.0, lying_over = 1.0, lying_extension = 0.0;
+  double skin_gap = 0.0;
+  double tips_from = 0.0, tips_over = 1.0;
   Matrix pinch_rests;
   double rest_from = 0.0, rest_over = 1.0;
   DistancesModel distances;
@@ -146,13 +151,24 @@ struct TeleoperationModel {
     visit("contact_slope", contact_slope);
     visit("contact_from", contact_from);
     visit("contact_most", contact_most);
-    visit("bone_starts", bone_starts);
-    visit("bone_ends", bone_ends);
     visit("open_from", open_from);
     visit("open_over", open_over);
     visit("straight_from", straight_from);
     visit("straight_over", straight_over);
     visit("straight_less", straight_less);
+    visit("segment_starts", segment_starts);
+    visit("segment_ends", segment_ends);
+    visit("segment_from", segment_from);
+    visit("segment_to", segment_to);
+    visit("segment_bases", segment_bases);
+    visit("segment_touching", segment_touching);
+    visit("lying_weight", lying_weight);
+    visit("lying_from", lying_from);
+    visit("lying_over", lying_over);
+    visit("lying_extension", lying_extension);
+    visit("skin_gap", skin_gap);
+    visit("tips_from", tips_from);
+    visit("tips_over", tips_over);
     visit("pinch_rests", pinch_rests);
     visit("rest_from", rest_from);
     visit("rest_over", rest_over);
@@ -167,6 +183,7 @@ struct TeleoperationModel {
     check_distances();
     check_points();
     check_pinches();
+    check_segments();
   }
 
  private:
@@ -179,9 +196,8 @@ struct TeleoperationModel {
       expect_count("TeleoperationModel: aims", each->size(), rows);
     expect_count("TeleoperationModel.extension_weights", extension_weights.size(), fingers);
     expect_count("TeleoperationModel.shape_points", shape_points.size(), estimator.shares.size());
-    expect_count("TeleoperationModel.bone_ends", bone_ends.size(), bone_starts.size());
     for (const Indices* each : {&shape_points, &from_points, &to_points, &partners, &starts,
-                                &bone_starts, &bone_ends})
+                                &segment_starts, &segment_ends})
       expect_below("TeleoperationModel: points of the human", *each,
                    static_cast<size_t>(human_points));
   }
@@ -200,16 +216,29 @@ struct TeleoperationModel {
     const size_t pinches = from_points.size() - human_reach.size();
     expect_that(pinches == 0 || !human_reach.empty(), "TeleoperationModel.human_reach",
                 "that of the thumb, which pinches");
-    expect_that(pinches == 0 || !bone_starts.empty(), "TeleoperationModel.bone_starts",
-                "bones of the fingers that the thumb pinches with");
+    expect_that(pinches == 0 || !segment_starts.empty(), "TeleoperationModel.segment_starts",
+                "segments of the fingers that the thumb pinches with");
     expect_that(open_over > 0.0, "TeleoperationModel.open_over", "a length above 0");
     expect_that(rest_over > 0.0, "TeleoperationModel.rest_over", "a length above 0");
+    expect_that(straight_over > 0.0, "TeleoperationModel.straight_over", "a share above 0");
+    expect_that(pinch_over > straight_less, "TeleoperationModel.pinch_over",
+                "more than straight_less");
     expect_that(pinch_rests.rows == pinches && (pinches == 0 || pinch_rests.columns == rest.size()),
                 "TeleoperationModel.pinch_rests", "a posture of each pinch");
     expect_count("TeleoperationModel.pinch_margins", pinch_margins.size(), pinch_pairs.size());
     expect_count("TeleoperationModel.pinch_of_pair", pinch_of_pair.size(), pinch_pairs.size());
     expect_below("TeleoperationModel.pinch_pairs", pinch_pairs, base_margins.size());
     expect_below("TeleoperationModel.pinch_of_pair", pinch_of_pair, pinches);
+  }
+
+  void check_segments() const {
+    for (const size_t each : {segment_ends.size(), segment_from.size(), segment_to.size(),
+                              segment_bases.size(), segment_touching.size()})
+      expect_count("TeleoperationModel: segments", each, segment_starts.size());
+    expect_below("TeleoperationModel.segment_from", segment_from, partners.size(), -1);
+    expect_below("TeleoperationModel.segment_to", segment_to, partners.size());
+    expect_that(lying_over > 0.0, "TeleoperationModel.lying_over", "a length above 0");
+    expect_that(tips_over > 0.0, "TeleoperationModel.tips_over", "a length above 0");
   }
 };
 

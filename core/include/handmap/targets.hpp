@@ -210,12 +210,19 @@ struct PalmMap : PalmModel {
   }
 };
 
-// Distance of a point from a line segment.
-inline double distance_to(const Vec3& point, const Vec3& from, const Vec3& to) {
-  const Vec3 along = to - from;
+// Share of a line segment at which it is nearest to a point.
+inline double nearest_share(const Vec3& point, const Vec3& from, const Vec3& along) {
   const double length2 = dot(along, along);
-  const double share = length2 > 0.0 ? dot(point - from, along) / length2 : 0.0;
-  return norm(point - (from + std::min(std::max(share, 0.0), 1.0) * along));
+  return length2 > 0.0 ? clip(dot(point - from, along) / length2, 0.0, 1.0) : 0.0;
+}
+
+// A vector turned as one direction must be to become another one, and not beyond 154 degrees.
+inline Vec3 turned_with(const Vec3& vector, const Vec3& from, const Vec3& to) {
+  const double lengths = norm(from) * norm(to);
+  if (!(lengths > 0.0)) return vector;
+  const Vec3 axis = (1.0 / lengths) * cross(from, to);
+  const double cosine = std::max(dot(from, to) / lengths, -0.9);
+  return vector + cross(axis, vector) + (1.0 / (1.0 + cosine)) * cross(axis, cross(axis, vector));
 }
 
 // Go from 0 to 1 with no slope at either end; see se3.smoothstep.
@@ -322,14 +329,18 @@ class TeleoperationMap : public TargetMap {
       const Vec3 led = of.bases[j] + of.ratios[j] * (now[of.partners[j]] - now[of.starts[j]]) +
                        of.carried[j] * now[of.starts[j]];
       moved += of.directions[j] * (1.0 - (1.0 - of.likeness) * closing) * (led - moved);
-      targets.points[j] = palm * moved;
+      targets.points[j] = moved;
     }
+    // The segment says where the thumb is, and the thumb may touch it.
+    const double lying = pinches > 0 ? lie_on_finger(now, gaps, targets.points) : 0.0;
+    if (pinches > 0) targets.weights[0] *= 1.0 - (1.0 - of.lying_extension) * lying;
+    for (Vec3& point : targets.points) point = palm * point;
     targets.wrist = palm * palm_.robot_palm_to_wrist;
     targets.margins = of.base_margins;
     for (size_t i = 0; i < of.pinch_pairs.size(); ++i)
       targets.margins[of.pinch_pairs[i]] =
           of.pinch_margins[i] +
-          std::min(std::max(of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from), 0.0),
+          (1.0 - lying) * std::min(std::max(of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from), 0.0),
                    of.contact_most);
     Vector& to_python = targets.diagnostics;
     to_python.clear();
@@ -356,10 +367,48 @@ class TeleoperationMap : public TargetMap {
     const TeleoperationModel& of = model_;
     const Vec3& tip = now[of.to_points[0]];
     double nearest = kInfinity;
-    for (size_t k = 0; k < of.bone_starts.size(); ++k)
-      nearest = std::min(nearest, distance_to(tip, now[of.bone_starts[k]], now[of.bone_ends[k]]));
+    for (size_t k = 0; k < of.segment_starts.size(); ++k) {
+      const Vec3 &from = now[of.segment_starts[k]], along = now[of.segment_ends[k]] - from;
+      nearest = std::min(nearest, norm(tip - (from + nearest_share(tip, from, along) * along)));
+    }
     const double straight = of.largest_aims[0] * std::min(extension, 1.0);
     aim += smoothstep((nearest - of.open_from) / of.open_over) * (straight - aim);
+  }
+
+  // A thumb that lies on a segment of the person's fingers lies on the same one of the robot's, on
+  // the same side, as far away as both are thick. Returns how far it does, from 0 to 1.
+  double lie_on_finger(const std::vector<Vec3>& now, const Vector& gaps,
+                       std::vector<Vec3>& points) const {
+    const TeleoperationModel& of = model_;
+    const Vec3& tip = now[of.to_points[0]];
+    double lying = 0.0, total = 0.0;
+    Vec3 places;
+    for (size_t k = 0; k < of.segment_starts.size(); ++k) {
+      const Vec3 &from = now[of.segment_starts[k]], along = now[of.segment_ends[k]] - from;
+      const double share = nearest_share(tip, from, along);
+      const Vec3 off = tip - (from + share * along);
+      const double distance = norm(off);
+      const double near = smoothstep((of.lying_from - distance) / of.lying_over);
+      if (!(near > 0.0 && distance > 0.0)) continue;
+      const Vec3 start = of.segment_from[k] < 0 ? of.segment_bases[k] : points[of.segment_from[k]];
+      const Vec3 robot = points[of.segment_to[k]] - start;
+      const double wanted = of.segment_touching[k] + std::max(distance - of.skin_gap, 0.0);
+      const Vec3 place = start + share * robot + (wanted / distance) * turned_with(off, along, robot);
+      // Nearer segments count much more, and none takes over at once.
+      const double weight = near / std::pow(std::max(distance, kSkin), 4.0);
+      places += weight * place;
+      total += weight;
+      lying = std::max(lying, near);
+    }
+    double tips = kInfinity;
+    for (const double gap : gaps) tips = std::min(tips, gap);
+    // The row of a pinch leads a tip to a tip.
+    lying *= of.lying_weight * smoothstep((tips - of.tips_from) / of.tips_over);
+    if (!(lying > 0.0)) return 0.0;
+    const Vec3 shift = lying * ((1.0 / total) * places - points[0]);
+    for (size_t j = 0; j < points.size(); ++j)
+      if (of.finger_of[j] == 0) points[j] += shift;
+    return lying;
   }
 
   // As a pinch closes, the rest posture becomes the one that closes it, so that thumb and finger come
@@ -378,6 +427,9 @@ class TeleoperationMap : public TargetMap {
       for (size_t i = 0; i < found.size(); ++i)
         found[i] += shares[p] / total * of.pinch_rests.row(p)[i];
   }
+
+  // Bones of a person are no nearer to each other [m].
+  static constexpr double kSkin = 1e-3;
 
   const TeleoperationModel model_;
   const PalmMap palm_;

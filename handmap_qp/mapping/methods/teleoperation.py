@@ -14,6 +14,7 @@ from a reference, and the compiled core computes them for every sample (`handmap
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -75,6 +76,15 @@ _OPEN_OVER = 0.040
 _STRAIGHT_FROM = 0.80
 _STRAIGHT_OVER = 0.15
 _STRAIGHT_LESS = 0.025
+# Distances of the thumb's tip from a segment of a finger at which it begins to lie on that, and
+# over which it comes to do so wholly [m].
+_LYING_FROM = 0.028
+_LYING_OVER = 0.013
+# Share of the weight of the thumb's extension that is left there.
+_LYING_EXTENSION = 0.3
+# Gaps of the tips below which the thumb pinches instead, and over which it comes to lie [m].
+_TIPS_FROM = 0.012
+_TIPS_OVER = 0.016
 # Gaps of thumb and finger at which the rest posture begins to become that of the pinch, and over
 # which it does [m]: from farther away than the pinch row, so that joints turn before pads are in
 # the way.
@@ -162,7 +172,8 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
             contact_slope=(1.0 - likeness) * _CONTACT_SLOPE,
             contact_from=_CONTACT_FROM,
             contact_most=_CONTACT_MOST,
-            **self._bones(),
+            **self._shapes(),
+            **self._segments(),
             pinch_rests=self._pinch_rests(),
             rest_from=_REST_FROM,
             rest_over=_REST_OVER,
@@ -242,17 +253,50 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
             "pinch_weight": corrected * choices.pinch_weight,
         }
 
-    def _bones(self) -> dict[str, Any]:
-        """Return the bones of the person's fingers but the thumb, and when a thumb is open."""
-        bones = self.pair.bones
+    def _shapes(self) -> dict[str, float]:
+        """Return when a thumb is open, when it lies on a finger, and when a finger is straight."""
         return {
-            "bone_starts": bones[:, :-1].ravel(),
-            "bone_ends": bones[:, 1:].ravel(),
             "open_from": _OPEN_FROM,
             "open_over": _OPEN_OVER,
             "straight_from": _STRAIGHT_FROM,
             "straight_over": _STRAIGHT_OVER,
             "straight_less": _STRAIGHT_LESS,
+            # A hand like the person's comes to lie like it by places.
+            "lying_weight": 1.0 - self.pair.palms.likeness,
+            "lying_from": _LYING_FROM,
+            "lying_over": _LYING_OVER,
+            "lying_extension": _LYING_EXTENSION,
+            "skin_gap": self.choices.contact_gap,
+            "tips_from": _TIPS_FROM,
+            "tips_over": _TIPS_OVER,
+        }
+
+    def _segments(self) -> dict[str, Array]:
+        """Return the segments of the fingers that the thumb pinches with, on both hands.
+
+        A robot's finger has one between two of its points, and one from its base to the first.
+        """
+        pair = self.pair
+        touching = touching_distances(self.pads)
+        ends = []
+        fingers = []
+        for pinch, finger in enumerate(self.pinched):
+            own = np.flatnonzero(pair.finger_of == pair.fingers.index(finger))
+            robots = dict(zip(pair.partners[own].tolist(), own.tolist(), strict=True))
+            knuckle, *others = pair.bones[pinch].tolist()
+            nodes = [(knuckle, -1), *((k, robots[k]) for k in others if k in robots)]
+            ends += [(*a, *b) for a, b in pairwise(nodes)]
+            fingers += [pinch] * (len(nodes) - 1)
+        human_from, robot_from, human_to, robot_to = (
+            np.array(ends, int).reshape(-1, 4).T
+        )
+        return {
+            "segment_starts": human_from,
+            "segment_ends": human_to,
+            "segment_from": robot_from,
+            "segment_to": robot_to,
+            "segment_bases": pair.robot_bases[1:][fingers],
+            "segment_touching": touching[fingers],
         }
 
     def _pinch_rests(self) -> Array:
