@@ -86,9 +86,7 @@ class Case(NamedTuple):
 
     @property
     def tolerance(self) -> float:
-        """How far numbers may be off; infinite where rounding decides between answers."""
-        if self.rounding > 1e3 * TOLERANCE:
-            return np.inf
+        """How far numbers may be off, more where rounding decides between answers."""
         return max(TOLERANCE, _MARGIN * self.rounding)
 
 
