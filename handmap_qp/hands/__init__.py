@@ -21,6 +21,7 @@ from handmap_core.hands import (
     Values,
     moved_by,
 )
+from .clipping import clip_step
 from .collision_shapes import (
     add_stand_ins,
     body_models,
@@ -187,6 +188,7 @@ __all__ = [
     "body_models",
     "check_tree",
     "child_of",
+    "clip_step",
     "common_pairs",
     "convex_hull",
     "core_tree",

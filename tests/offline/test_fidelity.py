@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from shared_hands import shared_hand_spec, shared_hands_folder
 
+from handmap_qp.apps.offline.compare import with_urdf
 from handmap_qp.apps.offline.fidelity import (
     angles_between,
     assess_fidelity,
@@ -31,7 +32,7 @@ from handmap_qp.apps.offline.hand_trace import (
     trace_human,
     trace_robot,
 )
-from handmap_qp.apps.offline.surface_gaps import GapMeter, with_urdf
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import find_fingers

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from tyro.conf import arg
 
-from handmap_core.errors import expect, warn
+from handmap_core.errors import HandError, InvalidInputError, expect, reason_of, warn
 from handmap_qp.apps.arguments import (
     HandName,
     InputArguments,
@@ -46,7 +46,6 @@ from .comparison import (
 )
 from .metrics import METRICS, Metric, arising
 from .poses import POSES, rank_poses
-from .surface_gaps import with_urdf
 from .trajectory import package_versions
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
@@ -275,6 +274,31 @@ def takes_of(request: Compare, robot: Hand, say: Progress) -> list[Take]:
         say(i, f"measuring the hand of {recording.name} ({i} of {len(recordings)})")
         takes.append(prepare_take(recording, side, person=person))
     return takes
+
+
+def with_urdf(hand: Hand, urdf: Path) -> Hand:
+    """Return the same hand by another URDF, for its shapes.
+
+    Args:
+        hand: The hand, whose hand.yaml names points on links.
+        urdf: A URDF with the same movable joints by name, and the same links.
+
+    Returns:
+        The hand, with joints in the same order.
+
+    Raises:
+        InvalidInputError: If the file cannot be read, or has other joints, or lacks a link that
+            hand.yaml names.
+    """
+    spec = msgspec.structs.replace(hand.spec, urdf=str(urdf.absolute()))
+    try:
+        return Hand(spec, mount=hand.mount)
+    except HandError as error:
+        raise InvalidInputError(
+            argument="--shapes",
+            expected=f"a URDF with the joints and links of {hand.name}",
+            got=f"{urdf}: {reason_of(error)}",
+        ) from error
 
 
 def _print_tables(comparison: Comparison) -> None:

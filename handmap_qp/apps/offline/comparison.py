@@ -53,7 +53,7 @@ from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity
 from .hand_trace import HandTrace, trace_human, trace_robot
-from .limited import LIMITS, clip_motion
+from .limited import clip_motion
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
 from .surface_gaps import whose_shapes
@@ -65,6 +65,8 @@ SMOOTH = "+smooth"
 """Ending of a name that asks for smoother motion, as `--smooth` of `handmap retarget`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
+LIMITS = "+limits"
+"""Ending of a peer's name whose joints are to be clipped."""
 
 # How names of the peers' methods begin, and what to do if one of them cannot run.
 _PEER_NAMES = ("dex-", "dexi-")

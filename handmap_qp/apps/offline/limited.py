@@ -1,4 +1,4 @@
-"""Motions of others within the limits of the robot: `clip_motion`, `clip_step`.
+"""Motions of others within the limits of the robot: `clip_motion`.
 
 Libraries that do not know speed limits command motions that the robot cannot follow. Clipped, they
 are what it could do at best without another mapping.
@@ -9,28 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_core.se3 import Array
-from handmap_qp.hands import Hand
+from handmap_qp.hands import clip_step
 from .trajectory import RobotMotion
-
-LIMITS = "+limits"
-"""Ending of a peer's name whose joints are to be clipped."""
-
-
-def clip_step(robot: Hand, wanted: Array, last: Array | None, dt: float) -> Array:
-    """Return the posture nearest to a wanted one, joint by joint, that the limits allow.
-
-    Args:
-        robot: The robot hand.
-        wanted: Joint angles in the order of `robot.joint_names` [rad or m], shape (n,).
-        last: Those of the sample before, inside the limits of position; None in the first sample,
-            which is limited in position alone.
-        dt: Time since then, at least 0 [s].
-    """
-    q = np.clip(wanted, *robot.limits)
-    if last is None:
-        return q
-    step = robot.velocity_limits * dt
-    return np.clip(q, last - step, last + step)
 
 
 def clip_motion(motion: RobotMotion) -> RobotMotion:

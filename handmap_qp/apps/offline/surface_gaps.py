@@ -1,13 +1,10 @@
 """Distances between a robot hand's surfaces over time: pinches and self-penetration."""
 
 from itertools import product
-from pathlib import Path
 
-import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_core.errors import HandError, InvalidInputError, reason_of
 from handmap_core.se3 import Array
 from handmap_qp.hands import (
     THUMB,
@@ -31,31 +28,6 @@ def whose_shapes(hand: Hand) -> str:
     return f"collision shapes of {hand.name} ({source_file(hand.spec).name})"
 
 
-def with_urdf(hand: Hand, urdf: Path) -> Hand:
-    """Return the same hand by another URDF, for its shapes.
-
-    Args:
-        hand: The hand, whose hand.yaml names points on links.
-        urdf: A URDF with the same movable joints by name, and the same links.
-
-    Returns:
-        The hand, with joints in the same order.
-
-    Raises:
-        InvalidInputError: If the file cannot be read, or has other joints, or lacks a link that
-            hand.yaml names.
-    """
-    spec = msgspec.structs.replace(hand.spec, urdf=str(urdf.absolute()))
-    try:
-        return Hand(spec, mount=hand.mount)
-    except HandError as error:
-        raise InvalidInputError(
-            argument="--shapes",
-            expected=f"a URDF with the joints and links of {hand.name}",
-            got=f"{urdf}: {reason_of(error)}",
-        ) from error
-
-
 class GapMeter:
     """Measures signed gaps of one robot hand, negative where surfaces overlap.
 
@@ -65,8 +37,8 @@ class GapMeter:
 
     Args:
         hand: The robot hand.
-        shapes: The same hand by another description (`with_urdf`), whose shapes are measured in
-            place of its own.
+        shapes: The same hand by another description (`compare.with_urdf`), whose shapes are
+            measured in place of its own.
 
     Attributes:
         whose: The hand and the file whose shapes are measured, in words.

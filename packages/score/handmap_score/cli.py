@@ -10,14 +10,13 @@ from typing import Annotated, NamedTuple
 from tyro.conf import arg
 
 from handmap_qp.apps.arguments import check_names, hinted
-from handmap_qp.apps.offline.compare import Compare, methods_of, takes_of
+from handmap_qp.apps.offline.compare import Compare, methods_of, takes_of, with_urdf
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
     base_name,
     own_methods,
 )
-from handmap_qp.apps.offline.surface_gaps import with_urdf
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import expect, warn

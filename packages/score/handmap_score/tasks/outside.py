@@ -19,14 +19,14 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import (
+    LIMITS,
     PROGRAM,
     OutsideError,
     outside_methods,
     peers_program,
 )
-from handmap_qp.apps.offline.limited import LIMITS, clip_step
 from handmap_qp.errors import InvalidInputError, did_you_mean
-from handmap_qp.hands import Hand, Names
+from handmap_qp.hands import Hand, Names, clip_step
 from handmap_qp.se3 import Array
 from .operator import HumanHand, Joints
 
