@@ -137,6 +137,8 @@ class HandPair:
         palms: How the robot's palm lies on the human's.
         finger_likeness: 1 for a finger that reaches the places where the human's is, to 0 for one
             that cannot, such as a thumb that opposes from another side, shape (f,).
+        is_placed: Whether a finger reaches all places of the package's own person, shape (f,), so
+            that it does not depend on who leads.
         is_carried: Whether a joint of each finger moves its base as the person's, shape (f,).
         regularisation: Share of the rest posture's pull and of the damping of each joint, shape
             (n,).
@@ -202,6 +204,8 @@ class HandPair:
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
         self.finger_likeness = frozen(self._measure_likeness())
+        of_usual = self._usual.finger_likeness if self._usual else self.finger_likeness
+        self.is_placed = of_usual == 1.0
         # Points determine the joints of a hand like the person's: rest and damping only steady.
         regularisation = np.ones(len(self.matched))
         for chain in self.chains.values():

@@ -9,7 +9,7 @@ import pytest
 
 from handmap_core.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp import HandMapper, Teleoperation, load_hand
-from handmap_qp.hands.fingers import THUMB
+from handmap_qp.hands import THUMB, HumanLengths
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.reference.teleoperation_targets import least_rotation, pinch_shares
 from handmap_qp.se3 import Array, inverse_pose, transform_points
@@ -238,3 +238,17 @@ def angle_between(first: Array, second: Array) -> float:
     """Return the angle between two vectors [rad]."""
     cosine = first @ second / np.linalg.norm(first) / np.linalg.norm(second)
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("size", [0.17, 0.19, 0.21])
+def test_a_thumb_that_reaches_all_places_is_as_straight_as_anyones(size: float) -> None:
+    human = HUMAN.with_lengths(HumanLengths.from_hand_length(size))
+    reaching = BoundTeleoperation(Teleoperation(), human, load_hand("g1_right"))
+    assert reaching.pair.is_placed[0]
+    assert reaching.model.aim_offsets[0] == 0.0
+    followed = Teleoperation(thumb_direction=0.0)
+    other = BoundTeleoperation(followed, human, load_hand("g1_right")).model
+    assert other.aim_offsets[0] != 0.0
+    allegro = BoundTeleoperation(Teleoperation(), human, ALLEGRO)
+    assert not allegro.pair.is_placed[0]
+    assert allegro.model.aim_offsets[0] < -0.02

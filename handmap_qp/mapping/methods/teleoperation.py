@@ -231,7 +231,11 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
         choices = self.choices
         human = pair.human_rest
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
+        is_thumb = np.array(pair.fingers) == THUMB
+        # A thumb that reaches all places of a person is as straight as the person's there.
+        is_there = is_thumb & pair.is_placed
         extension = pair.robot_distances - pair.reach_ratios * at_rest
+        extension *= 1.0 - is_there * choices.thumb_direction
         # The robot's pads press on each other here.
         touching = touching_distances(self.pads) - choices.picked(_PADS_OVERLAP)
         # Jaws move as far as the human's fingers, because an object is as large for both.
@@ -240,7 +244,6 @@ class BoundTeleoperation(teleoperation.BoundTeleoperation[Hand]):
         closed = choices.contact_gap + choices.picked(_SLACK)
         count = len(touching)
         thumb = choices.thumb_extension_weight * choices.picked(_THUMB_EXTENSION)
-        is_thumb = np.array(pair.fingers) == THUMB
         by_finger = np.where(is_thumb, thumb, choices.extension_weight)
         # Corrections end where places agree: a hand like the person's needs none.
         corrected = 1.0 - pair.palms.likeness
