@@ -224,8 +224,10 @@ def test_what_a_torso_slides_is_in_millimetres() -> None:
 
 @pytest.mark.slow
 def test_retarget_says_how_far_a_robot_with_one_hand_leans(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # A narrow terminal breaks the row.
+    monkeypatch.setenv("COLUMNS", "200")
     robot = str(write_half(tmp_path))
     made = meeting_hands()["left"].part(slice(None, None, 6))
     recording = tmp_path / "left.npz"

@@ -388,7 +388,10 @@ def written(tmp_path_factory: pytest.TempPathFactory, few_reached: None) -> Path
         return np.full((len(rows), 1 + len(columns), 2, 4, 4, 3), 0.5)
 
     command = cli.Score(
-        out=folder, hands=("three_finger",), methods=("paper", "object"), seeds=(3,)
+        out=folder,
+        hands=("three_finger",),
+        methods=("paper", "finger-vectors"),
+        seeds=(3,),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("handmap_score.pages.pose_pictures", small)
@@ -408,7 +411,7 @@ def test_page_has_gestures_with_source_and_licence(written: Path) -> None:
     assert page.count('"UklGR') == 24 * 2
     assert results["about"]["seeds"] == [3]
     methods = [row["method"] for row in hand["mappings"]]
-    assert {*methods} == {"paper", "object"}
+    assert {*methods} == {"paper", "finger-vectors"}
     # Peers that did not run say how to.
     assert "handmap-qp[peers]" in results["about"]["peers"]
     assert [row["mapping"] for row in results["overview"]] == methods
