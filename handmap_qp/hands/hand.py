@@ -271,6 +271,11 @@ class Hand:
         return self.wrist_frame.parentJoint > 0
 
     @property
+    def is_on_arm(self) -> bool:
+        """Whether joints of an arm move the wrist."""
+        return self.has_moving_wrist and not self.is_floating
+
+    @property
     def hands(self) -> tuple[Hand, ...]:
         """The hands of a robot that is moved as one; else this hand alone."""
         return self.parts or (self,)

@@ -83,11 +83,6 @@ class ShownMotion(NamedTuple):
     hands: Sequence[ShownHand]
     turn: Array
 
-    @property
-    def has_arms(self) -> bool:
-        """Whether joints of an arm move its wrists."""
-        return self.robot.has_moving_wrist and not self.robot.is_floating
-
 
 def moments_sheet(
     motions: Sequence[ShownMotion], times: Sequence[float], footnote: str = ""
@@ -108,12 +103,12 @@ def moments_sheet(
         InvalidInputError: If there are no moments.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    is_tall = any(motion.has_arms for motion in motions)
+    is_tall = any(motion.robot.is_on_arm for motion in motions)
     height = ROW_HEIGHT if is_tall else CELL[1]
     columns = []
     for motion in motions:
         shape = load_shape(motion.robot.hands[0])
-        if motion.has_arms:
+        if motion.robot.is_on_arm:
             columns += _overview(motion, shape)
         for shown in motion.hands:
             columns += _close_up(motion, shown, shape, height)
@@ -179,8 +174,8 @@ def _close_up(
     motion: ShownMotion, shown: ShownHand, shape: HandShape, height: int
 ) -> list[SheetColumn]:
     """Draw the person's hand and the robot's in their palm frames."""
-    views: Views = _CLOSE_VIEWS if motion.has_arms else VIEWS
-    size = (HAND_WIDTH if motion.has_arms else CELL[0]), height
+    views: Views = _CLOSE_VIEWS if motion.robot.is_on_arm else VIEWS
+    size = (HAND_WIDTH if motion.robot.is_on_arm else CELL[0]), height
     seen = np.flatnonzero(shown.is_seen)
     person = np.full((len(motion.q), len(views), height, size[0], 3), HUMAN_BACKGROUND)
     if len(seen):
@@ -188,8 +183,8 @@ def _close_up(
         person[seen] = human_pictures(landmarks, shown.side, views=views, size=size)
     own = HandShape(shown.hand, shape.links)
     robot = hand_pictures(own, [*motion.q], views=views, size=size)
-    note = "three-quarter" if motion.has_arms else "palm side  |  three-quarter"
-    name = f"{shown.side} hand" if motion.has_arms else motion.robot.name
+    note = "three-quarter" if motion.robot.is_on_arm else "palm side  |  three-quarter"
+    name = f"{shown.side} hand" if motion.robot.is_on_arm else motion.robot.name
     return [
         SheetColumn(f"person, {shown.side}", note, _side_by_side(person)),
         SheetColumn(name, note, _side_by_side(robot)),

@@ -24,8 +24,8 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.drawing import require_drawing
 from handmap_qp.apps.tables import print_result, print_rows, progress
-from handmap_qp.hands import Hand, Values, joined
-from handmap_qp.human import PALM, Recording, scaled_human, write_person
+from handmap_qp.hands import Hand, Values, joined, load_hand
+from handmap_qp.human import PALM, Recording, human_name, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
@@ -194,11 +194,8 @@ class Retarget:
 
     def _closing(self, robot: Hand, used: Sequence[Recording]) -> Values | None:
         """Compare how long robot and person take for a fist, where that can be measured."""
-        person = person_of(list(used), self.person)
-        points = self.arguments.human_points
-        humans = [
-            scaled_human(each, points=points, lengths=person.lengths) for each in used
-        ]
+        # Whose size it is does not matter: see `fist_time`.
+        humans = [load_hand(human_name(each.side)) for each in used]
         with suppress(HandmapError):
             return compare_closing(joined("human", *humans), robot, used)
         return None

@@ -40,12 +40,6 @@ class MappedMotion(NamedTuple):
     method: object
     followed: Array
 
-    @property
-    def has_arms(self) -> bool:
-        """Whether joints of an arm move the robot's wrists."""
-        robot = self.trajectory.robot
-        return robot.has_moving_wrist and not robot.is_floating
-
 
 def save_moments(
     path: Path, motions: Sequence[MappedMotion], count: int = MOMENTS
@@ -102,7 +96,7 @@ def find_moments(motions: Sequence[MappedMotion], time: Array, count: int) -> Ar
             flags.append(recording.valid[samples])
             columns.append(
                 recording.landmarks[samples]
-                if motion.has_arms
+                if motion.trajectory.robot.is_on_arm
                 else _in_palm(recording)[samples]
             )
     seen = np.all(flags, axis=0)
@@ -166,5 +160,7 @@ def _turn(motion: MappedMotion) -> Array:
     return rotation_of(
         motion.method.alignment,
         rigid_fit(palm, recording.landmarks[first, PALM]),
-        hand.frame_pose("palm", trajectory.q[0]) if motion.has_arms else np.eye(4),
+        hand.frame_pose("palm", trajectory.q[0])
+        if trajectory.robot.is_on_arm
+        else np.eye(4),
     )

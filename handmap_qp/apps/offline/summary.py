@@ -286,8 +286,7 @@ def _arm(trajectory: Trajectory) -> Values | None:
     places = trajectory.wrist[trajectory.valid, :3, 3]
     errors = trajectory.wrist_error[trajectory.valid]
     late = errors > _WRIST_OFF
-    is_on_arm = robot.has_moving_wrist and not robot.is_floating
-    if not (is_on_arm and late.mean() > _LATE_SHARE):
+    if not (robot.is_on_arm and late.mean() > _LATE_SHARE):
         return None
     moved = lengths(places - places[0])
     wanted = moved + errors
