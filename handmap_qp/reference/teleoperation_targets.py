@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handmap_core.mapping.teleoperation import TeleoperationMap
@@ -54,9 +56,10 @@ class PublishedTeleoperation:
         extensions = extensions / model.human_reach
         pinching = pinch_shares(model, gaps, extensions[1 : len(gaps) + 1])
         aims = row_aims(model, distances)
-        aims[:1] = thumb_aim(model, now, extensions[:1], aims[:1])
+        thumb = thumb_offsets(model, now)
+        aims[:1] = thumb_aim(model, thumb, extensions[:1], aims[:1])
         points = pointed(model, moved_points(model, fit, now), now, pinching)
-        points, lying = lying_thumb(model, points, now, gaps)
+        points, lying = lying_thumb(model, points, now, thumb, gaps)
         weights = np.append(model.extension_weights, model.pinch_weight * pinching)
         weights[:1] *= 1.0 - (1.0 - model.lying_extension) * lying
         parts = [
@@ -98,49 +101,61 @@ def row_aims(model: TeleoperationModel, distances: Array) -> Array:
     return np.clip(aims, model.least_aims, model.largest_aims)
 
 
+class ThumbOffsets(NamedTuple):
+    """Where the human's thumb tip is from each segment of the other fingers.
+
+    Attributes:
+        shares: Share of each segment at which it is nearest, shape (s,).
+        vectors: From there to the tip [m], shape (s, 3).
+    """
+
+    shares: Array
+    vectors: Array
+
+
 def thumb_aim(
-    model: TeleoperationModel, now: Array, extension: Array, aim: Array
+    model: TeleoperationModel, thumb: ThumbOffsets, extension: Array, aim: Array
 ) -> Array:
     """Return the wanted extension of a thumb, as straight as the person's where that is open.
 
-    It is open where its tip is far from all bones of the other fingers.
+    It is open where its tip is far from all segments of the other fingers.
 
     Args:
         model: The method for two hands.
-        now: The human's points in palm axes [m], shape (n_h, 3).
+        thumb: Where its tip is, of `thumb_offsets`.
         extension: The thumb's distance from knuckle to tip over its reach, shape (1,).
         aim: The distance that is wanted of the robot's otherwise [m], shape (1,).
     """
     if len(model.from_points) == len(model.human_reach):
         # Without pinches, the first finger need not be a thumb.
         return aim
-    nearest = lengths(thumb_offsets(model, now)[1]).min()
+    nearest = lengths(thumb.vectors).min()
     share = _smooth((nearest - model.open_from) / model.open_over)
     straight = model.largest_aims[:1] * np.minimum(extension, 1.0)
     return aim + share * (straight - aim)
 
 
-def thumb_offsets(model: TeleoperationModel, now: Array) -> tuple[Array, Array]:
+def thumb_offsets(model: TeleoperationModel, now: Array) -> ThumbOffsets:
     """Return where the thumb's tip is from each segment of the human's fingers.
 
     Args:
         model: The method for two hands.
         now: The human's points in palm axes [m], shape (n_h, 3).
-
-    Returns:
-        Share of each segment at which it is nearest, shape (s,), and the vector from there to the
-        tip [m], shape (s, 3).
     """
     tip = now[model.to_points[0]]
     starts = now[model.segment_starts]
     along = now[model.segment_ends] - starts
     squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     shares = np.clip(((tip - starts) * along).sum(axis=1) / squares, 0.0, 1.0)
-    return shares, tip - starts - shares[:, None] * along
+    return ThumbOffsets(shares, tip - starts - shares[:, None] * along)
 
 
 def lying_thumb(
-    model: TeleoperationModel, points: Array, now: Array, gaps: Array
+    model: TeleoperationModel,
+    points: Array,
+    now: Array,
+    thumb: ThumbOffsets,
+    gaps: Array,
 ) -> tuple[Array, float]:
     """Lay a thumb on the segment of a finger that the human's lies on.
 
@@ -151,6 +166,7 @@ def lying_thumb(
         model: The method for two hands.
         points: Points in the robot's palm axes [m], shape (m, 3).
         now: The human's points in palm axes [m], shape (n_h, 3).
+        thumb: Where its tip is, of `thumb_offsets`.
         gaps: Gap of the thumb's tip and each finger's [m], shape (p,).
 
     Returns:
@@ -158,7 +174,7 @@ def lying_thumb(
     """
     if not len(gaps):
         return points, 0.0
-    shares, offsets = thumb_offsets(model, now)
+    shares, offsets = thumb
     distances = lengths(offsets)
     near = _smooth((model.lying_from - distances) / model.lying_over)
     near = np.where(distances > 0.0, near, 0.0)

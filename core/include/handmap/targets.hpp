@@ -314,7 +314,6 @@ class TeleoperationMap : public TargetMap {
         targets.weights[k] = of.pinch_weight * pinching[p];
       }
     }
-    if (pinches > 0) open_thumb(now, extensions[0], targets.aims[0]);
     rest_for(gaps, targets.rest);
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
@@ -331,17 +330,22 @@ class TeleoperationMap : public TargetMap {
       moved += of.directions[j] * (1.0 - (1.0 - of.likeness) * closing) * (led - moved);
       targets.points[j] = moved;
     }
-    // The segment says where the thumb is, and the thumb may touch it.
-    const double lying = pinches > 0 ? lie_on_finger(now, gaps, targets.points) : 0.0;
-    if (pinches > 0) targets.weights[0] *= 1.0 - (1.0 - of.lying_extension) * lying;
+    double lying = 0.0;
+    if (pinches > 0) {
+      const Thumb thumb = lie_on_finger(now, gaps, targets.points);
+      open_thumb(thumb.away, extensions[0], targets.aims[0]);
+      // The segment says where the thumb is, and the thumb may touch it.
+      lying = thumb.lying;
+      targets.weights[0] *= 1.0 - (1.0 - of.lying_extension) * lying;
+    }
     for (Vec3& point : targets.points) point = palm * point;
     targets.wrist = palm * palm_.robot_palm_to_wrist;
     targets.margins = of.base_margins;
-    for (size_t i = 0; i < of.pinch_pairs.size(); ++i)
+    for (size_t i = 0; i < of.pinch_pairs.size(); ++i) {
+      const double wide = of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from);
       targets.margins[of.pinch_pairs[i]] =
-          of.pinch_margins[i] +
-          (1.0 - lying) * std::min(std::max(of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from), 0.0),
-                   of.contact_most);
+          of.pinch_margins[i] + (1.0 - lying) * std::min(std::max(wide, 0.0), of.contact_most);
+    }
     Vector& to_python = targets.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);
@@ -362,32 +366,32 @@ class TeleoperationMap : public TargetMap {
     return smoothstep((of.pinch_from - less - gap) / (of.pinch_over - less));
   }
 
+  // A person's thumb: distance of its tip from all segments of the fingers, and how far it lies on one.
+  struct Thumb {
+    double away, lying;
+  };
+
   // A thumb that is away from all fingers is as straight as the person's, whatever it is at rest.
-  void open_thumb(const std::vector<Vec3>& now, double extension, double& aim) const {
+  void open_thumb(double away, double extension, double& aim) const {
     const TeleoperationModel& of = model_;
-    const Vec3& tip = now[of.to_points[0]];
-    double nearest = kInfinity;
-    for (size_t k = 0; k < of.segment_starts.size(); ++k) {
-      const Vec3 &from = now[of.segment_starts[k]], along = now[of.segment_ends[k]] - from;
-      nearest = std::min(nearest, norm(tip - (from + nearest_share(tip, from, along) * along)));
-    }
     const double straight = of.largest_aims[0] * std::min(extension, 1.0);
-    aim += smoothstep((nearest - of.open_from) / of.open_over) * (straight - aim);
+    aim += smoothstep((away - of.open_from) / of.open_over) * (straight - aim);
   }
 
   // A thumb that lies on a segment of the person's fingers lies on the same one of the robot's, on
-  // the same side, as far away as both are thick. Returns how far it does, from 0 to 1.
-  double lie_on_finger(const std::vector<Vec3>& now, const Vector& gaps,
-                       std::vector<Vec3>& points) const {
+  // the same side, as far away as both are thick.
+  Thumb lie_on_finger(const std::vector<Vec3>& now, const Vector& gaps,
+                      std::vector<Vec3>& points) const {
     const TeleoperationModel& of = model_;
     const Vec3& tip = now[of.to_points[0]];
-    double lying = 0.0, total = 0.0;
+    double away = kInfinity, lying = 0.0, total = 0.0;
     Vec3 places;
     for (size_t k = 0; k < of.segment_starts.size(); ++k) {
       const Vec3 &from = now[of.segment_starts[k]], along = now[of.segment_ends[k]] - from;
       const double share = nearest_share(tip, from, along);
       const Vec3 off = tip - (from + share * along);
       const double distance = norm(off);
+      away = std::min(away, distance);
       const double near = smoothstep((of.lying_from - distance) / of.lying_over);
       if (!(near > 0.0 && distance > 0.0)) continue;
       const Vec3 start = of.segment_from[k] < 0 ? of.segment_bases[k] : points[of.segment_from[k]];
@@ -404,11 +408,11 @@ class TeleoperationMap : public TargetMap {
     for (const double gap : gaps) tips = std::min(tips, gap);
     // The row of a pinch leads a tip to a tip.
     lying *= of.lying_weight * smoothstep((tips - of.tips_from) / of.tips_over);
-    if (!(lying > 0.0)) return 0.0;
+    if (!(lying > 0.0)) return {away, 0.0};
     const Vec3 shift = lying * ((1.0 / total) * places - points[0]);
     for (size_t j = 0; j < points.size(); ++j)
       if (of.finger_of[j] == 0) points[j] += shift;
-    return lying;
+    return {away, lying};
   }
 
   // As a pinch closes, the rest posture becomes the one that closes it, so that thumb and finger come
