@@ -177,7 +177,6 @@ def lying_thumb(
     shares, offsets = thumb
     distances = lengths(offsets)
     near = _smooth((model.lying_from - distances) / model.lying_over)
-    near = np.where(distances > 0.0, near, 0.0)
     apart = _smooth((gaps.min() - model.tips_from) / model.tips_over)
     lying = float(model.lying_weight * near.max() * apart)
     if not lying > 0.0:
@@ -191,8 +190,8 @@ def lying_thumb(
         least_rotation(human, robot) @ offset
         for human, robot, offset in zip(humans, robots, offsets, strict=True)
     ]
-    # What the thumb does not lie on counts nothing, whatever its distance.
-    scales = wanted / np.where(near > 0.0, distances, 1.0)
+    # Across the segment, where noise decides the side, the way from it shrinks to nothing.
+    scales = wanted / np.maximum(distances, max(0.5 * model.skin_gap, _SKIN))
     places = starts + shares[:, None] * robots + scales[:, None] * np.array(turned)
     weights = near / np.maximum(distances, _SKIN) ** 4
     place = weights @ places / weights.sum()
@@ -203,7 +202,7 @@ def lying_thumb(
 def least_rotation(human: Array, robot: Array) -> Array:
     """Return the least rotation of one direction onto another one, shape (3, 3).
 
-    Beyond 154 degrees it stays behind: opposite directions do not say which way to turn.
+    Beyond 154 degrees it shortens what it turns: opposite directions do not say which way to turn.
     """
     scale = lengths(human) * lengths(robot)
     if not scale > 0.0:

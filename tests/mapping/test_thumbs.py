@@ -188,6 +188,15 @@ def test_a_thumb_comes_to_lie_on_a_finger_without_a_jump() -> None:
     assert whole > 0.03
 
 
+def test_a_tip_that_is_tracked_across_a_bone_does_not_throw_the_thumb() -> None:
+    heights = np.linspace(0.012, -0.012, 241)
+    asked = np.array([asked_points(thumb_on(height))[0] for height in heights])
+    steps = np.linalg.norm(np.diff(asked, axis=0), axis=1)
+    # Twice the robot's thickness over the person's skin gap, and some for the neighbours.
+    steepest = 2.0 * MODEL.segment_touching[0] / MODEL.skin_gap
+    assert steps.max() < 1.5 * steepest * 1e-4
+
+
 def test_a_lying_thumb_is_asked_less_for_an_extension() -> None:
     step = HandMapper(HUMAN, ALLEGRO).map_points(thumb_on(0.012), np.eye(4))
     (rows,) = step.asked.tasks

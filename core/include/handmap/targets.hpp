@@ -216,7 +216,8 @@ inline double nearest_share(const Vec3& point, const Vec3& from, const Vec3& alo
   return length2 > 0.0 ? clip(dot(point - from, along) / length2, 0.0, 1.0) : 0.0;
 }
 
-// A vector turned as one direction must be to become another one, and not beyond 154 degrees.
+// A vector turned as one direction must be to become another one; beyond 154 degrees it is shortened
+// instead, because opposite directions do not say which way to turn.
 inline Vec3 turned_with(const Vec3& vector, const Vec3& from, const Vec3& to) {
   const double lengths = norm(from) * norm(to);
   if (!(lengths > 0.0)) return vector;
@@ -393,11 +394,13 @@ class TeleoperationMap : public TargetMap {
       const double distance = norm(off);
       away = std::min(away, distance);
       const double near = smoothstep((of.lying_from - distance) / of.lying_over);
-      if (!(near > 0.0 && distance > 0.0)) continue;
+      if (!(near > 0.0)) continue;
       const Vec3 start = of.segment_from[k] < 0 ? of.segment_bases[k] : points[of.segment_from[k]];
       const Vec3 robot = points[of.segment_to[k]] - start;
       const double wanted = of.segment_touching[k] + std::max(distance - of.skin_gap, 0.0);
-      const Vec3 place = start + share * robot + (wanted / distance) * turned_with(off, along, robot);
+      // Across the segment, where noise decides the side, the way from it shrinks to nothing.
+      const double least = std::max(distance, std::max(0.5 * of.skin_gap, kSkin));
+      const Vec3 place = start + share * robot + (wanted / least) * turned_with(off, along, robot);
       // Nearer segments count much more, and none takes over at once.
       const double weight = near / std::pow(std::max(distance, kSkin), 4.0);
       places += weight * place;
