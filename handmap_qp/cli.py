@@ -98,6 +98,7 @@ _MODULES = {
     "hands migrate": "onboarding.cli",
     "hands check": "onboarding.cli",
     "hands match": "onboarding.cli",
+    "hands pack": "onboarding.cli",
     "hands edit": "onboarding.editor",
     "hands save": "saving.cli",
     "robots list": "onboarding.cli",

@@ -349,6 +349,7 @@ COMMANDS = (
         "hands init",
         "hands check",
         "hands match",
+        "hands pack",
         "hands edit",
     ),
     "doctor",

@@ -48,6 +48,7 @@ LINES = {
     "hands show": "hands show {}",
     "hands check": "hands check {}",
     "hands match": "hands match {}",
+    "hands pack": "hands pack {} --out packed",
     "hands edit": "hands edit {}",
     "hands save": "hands save {}",
     "track replay": "track replay demo --to 127.0.0.1 --robot {}",

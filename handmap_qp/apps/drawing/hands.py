@@ -41,13 +41,13 @@ GREY = (0.62, 0.64, 0.67)
 AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 """Colours of the axes x, y and z."""
 
+MAX_MESH_TRIANGLES = 4000
+"""Most triangles kept per mesh file."""
 # Height of a title above panels [pixel].
 _TITLE = 48
 _TUBE_SIDES = 10
 # Ends of a tube that are nearer coincide [m].
 _SHORTEST = 1e-5
-# Most triangles kept per mesh file.
-_MAX_MESH_TRIANGLES = 4000
 # Most cells of a grid in which they are merged, along the longest side of a mesh.
 _MOST_CELLS = 96.0
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
@@ -287,7 +287,7 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
     mesh = trimesh.util.concatenate(bare)
     mesh.merge_vertices()
-    coarse = _simplified(mesh)
+    coarse = simplified(mesh)
     is_closed = mesh.is_watertight and mesh.is_winding_consistent
     if not is_closed or mesh.volume < 0.0:
         inverse = coarse.copy()
@@ -296,11 +296,16 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     return solid(coarse, colour)
 
 
-def _simplified(mesh: Any) -> Any:
-    """Merge a mesh's vertices in each cell of the finest grid that gives few triangles."""
+def simplified(mesh: Any, most: int = MAX_MESH_TRIANGLES) -> Any:
+    """Merge a mesh's vertices in each cell of the finest grid that gives few triangles.
+
+    Args:
+        mesh: A mesh of trimesh.
+        most: Most triangles; a mesh that has no more is returned as it is.
+    """
     coarse = mesh
     cells = _MOST_CELLS / mesh.extents.max()
-    while len(coarse.faces) > _MAX_MESH_TRIANGLES:
+    while len(coarse.faces) > most:
         coarse = mesh.copy()
         coarse.apply_scale(cells)
         # Vertices of one cell are the same without digits behind the point.

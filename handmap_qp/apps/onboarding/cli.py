@@ -18,6 +18,7 @@ from .findings import HandReport, Rows
 from .init import DescribedHand, InitResult, init_hands
 from .match import match_hand
 from .migrate import migrate
+from .pack import DEFAULT_TRIANGLES, pack_hand
 from .picture import draw_hand, draw_match, draw_robot, picture_path
 from .write import check_free, write_hand
 
@@ -307,6 +308,52 @@ class HandsCheck:
         if picture and report.hand:
             draw_hand(report.hand, picture, report.measured.get("Directions", []))
         print_report(report, picture, as_json=self.json)
+
+
+@dataclass(frozen=True)
+class HandsPack:
+    """Write a hand into a folder of its own: description, URDF, small meshes and licence.
+
+    The folder needs no other package. It can be copied to a robot, or passed on if the licence of
+    the model allows it. The hand moves as before: meshes for collisions keep their vertices, or
+    those of their convex hulls.
+
+    Examples:
+        handmap hands pack shadow_right --out shadow
+        handmap view demo --robot shadow/hand.yaml
+
+    Attributes:
+        hand: Path of a hand.yaml, or name of a hand of the package.
+        out: Folder to write.
+        triangles: Most triangles of a mesh.
+        overwrite: Replace the description in the folder if there is one.
+    """
+
+    hand: Positional[HandName]
+    out: Annotated[Path, arg(metavar="FOLDER")]
+    triangles: int = DEFAULT_TRIANGLES
+    overwrite: bool = False
+
+    def run(self) -> None:
+        """Write the folder, and say how large it is and whose licence holds."""
+        with progress("packing"):
+            packed = pack_hand(
+                self.hand,
+                self.out,
+                triangles=self.triangles,
+                overwrite=self.overwrite,
+            )
+        print(
+            f"wrote {packed.file}: {packed.meshes} meshes, {packed.size / 1e6:.1f} MB"
+        )
+        if packed.licence:
+            print(
+                f"licence of the model: {self.out / 'LICENSE'}, as in {packed.licence}"
+            )
+        else:
+            print(
+                "no licence lies beside the model: ask its maker before you pass it on"
+            )
 
 
 @dataclass(frozen=True)

