@@ -30,7 +30,7 @@ LIST = Path(__file__).with_name("strangers.yaml")
 # A few files beside the tests, for `--quick`.
 _MADE = common.ROOT / "tests" / "data" / "strangers" / "strangers.yaml"
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-_LONGEST = 90
+_LONGEST = 140
 
 
 def main(words: Sequence[str] | None = None) -> list[Verdict]:
@@ -86,7 +86,12 @@ def main(words: Sequence[str] | None = None) -> list[Verdict]:
                 common.stop(f"{listed.name}: {error}")
             advance()
     to_stderr = arguments.json == "-"
-    shown = [v for v in verdicts if not (arguments.counts and v.group == "held back")]
+    shown = [
+        one
+        for group in GROUPS
+        for one in verdicts
+        if one.group == group and not (arguments.counts and group == "held back")
+    ]
     rows = [_row(verdict) for verdict in shown]
     if rows:
         common.print_table("Hands of other makers", rows, to_stderr=to_stderr)
@@ -196,7 +201,7 @@ def _plain(verdict: Verdict) -> dict[str, Any]:
 
 def draw(verdicts: Sequence[Verdict]) -> Any:
     """Draw the share of files that are described, or refused, rightly, by group."""
-    shares = {
+    shares: dict[str, str] = {
         group: f"{sum(own) / len(own):.3f}"
         for group in GROUPS
         if (own := [one.is_good for one in verdicts if one.group == group])

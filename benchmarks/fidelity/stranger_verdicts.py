@@ -1,8 +1,8 @@
 """Judge what `handmap hands init` makes of a file against what is true of it: `judge`.
 
-A description is judged as its user gets it: as the files that `init_hands` wrote, loaded again. Its
-palm, fingers and axes are compared in the URDF, and `handmap hands check`, without its motions, says
-whether it contradicts what is wrong.
+A description is judged as its user gets it: as the files that `init_hands` wrote, loaded again.
+Its palm, fingers and axes are compared in the URDF, and `handmap hands check`, without its motions,
+says whether it contradicts what is wrong.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 import tempfile
 import time
 import traceback
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from handmap_qp.apps.onboarding.findings import HandFinding
 from handmap_qp.apps.onboarding.init import DescribedHand, InitResult, init_hands
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandmapError
+from handmap_qp.hands import THUMB
 
 Outcome = Literal[
     "right",
@@ -122,13 +124,16 @@ def judge(one: Stranger, file: Path) -> Verdict:
         file: The file.
     """
     start = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        # What the loader warns of is among the findings of `check`.
+        warnings.simplefilter("ignore")
         try:
             result = init_hands(file, out=Path(folder) / "hand.yaml")
         except HandmapError as error:
             seconds = time.perf_counter() - start
             outcome: Outcome = "refused wrongly" if one.hands else "refused rightly"
-            return _verdict(one, seconds, outcome, " ".join(str(error).split()))
+            reason = str(error).replace(f"{file}: ", "")
+            return _verdict(one, seconds, outcome, " ".join(reason.split()))
         except Exception:  # what no user should see is counted, whatever it is
             seconds = time.perf_counter() - start
             return _verdict(one, seconds, "traceback", traceback.format_exc())
@@ -228,8 +233,9 @@ def compare(found: DescribedHand, truth: TrueHand, robot: Robot) -> Iterator[Wro
     names = [*_named(chains, truth)]
     yield from _compare_fingers(chains, names, truth)
     dorsal = truth.dorsal
-    if dorsal and truth.jaws and names[:1] == ["thumb"]:
-        dorsal = tuple(-value for value in dorsal)
+    if dorsal and truth.jaws and names[0] == THUMB:
+        x, y, z = dorsal
+        dorsal = (-x, -y, -z)
     turn = robot.pose_in(spec.palm.link, truth.frame or truth.palm)[:3, :3]
     for key, own, true in (
         ("distal", spec.palm.distal, truth.distal),
@@ -286,16 +292,15 @@ def _compare_fingers(
     if not truth.fingers:
         return
     called = dict(zip(truth.fingers, names, strict=True))
-    if "thumb" in called and called["thumb"] != "thumb":
-        yield WrongKey("thumb", f"called {called['thumb']}")
     true, others = (
-        [name for name in names if name != "thumb"]
-        for names in (truth.fingers, called.values())
+        [name for name in row if name != THUMB]
+        for row in (truth.fingers, called.values())
     )
     orders = [true] if truth.side else [true, true[::-1]]
-    if "thumb" not in called or called["thumb"] == "thumb":
-        if others not in orders:
-            yield WrongKey("fingers", f"called {', '.join(others)}")
+    if THUMB in called and called[THUMB] != THUMB:
+        yield WrongKey("thumb", f"called {called[THUMB]}")
+    elif others not in orders:
+        yield WrongKey("fingers", f"called {', '.join(others)}")
 
 
 def _angle(own: np.ndarray, true: Vector) -> float:
