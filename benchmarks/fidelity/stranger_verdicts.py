@@ -24,7 +24,7 @@ from handmap_qp.apps.onboarding.check import check_hand, check_robot
 from handmap_qp.apps.onboarding.findings import HandFinding
 from handmap_qp.apps.onboarding.init import DescribedHand, InitResult, init_hands
 from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.errors import HandmapError
+from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands import THUMB
 
 Outcome = Literal[
@@ -132,7 +132,8 @@ def judge(one: Stranger, file: Path) -> Verdict:
         except HandmapError as error:
             seconds = time.perf_counter() - start
             outcome: Outcome = "refused wrongly" if one.hands else "refused rightly"
-            reason = str(error).replace(f"{file}: ", "")
+            # The file, which may be a converted one, says nothing here.
+            reason = error.problem if isinstance(error, HandError) else str(error)
             return _verdict(one, seconds, outcome, " ".join(reason.split()))
         except Exception:  # what no user should see is counted, whatever it is
             seconds = time.perf_counter() - start
