@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
-import runpy
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -31,15 +29,6 @@ SCRIPTS = sorted(FOLDER.glob("*/bench_*.py"))
 def run(script: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(FOLDER), script, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=600)
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> Iterator[Callable[[str], Any]]:
-    """Import modules by name, with the folders on the path that a script has."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [*sys.path])
-        runpy.run_path(str(FOLDER / "__main__.py"), run_name="benchmarks")
-        yield importlib.import_module
 
 
 @pytest.fixture(scope="module")
