@@ -8,6 +8,9 @@ dex-retargeting's vector and DexPilot (`make peers`). Each row of a sheet shows 
 the methods A, B and C in an order of its own; `key.json` has it. A judge who sees the sheets only
 ranks each row: `{"allegro_right": {"0": "B>A=C", ...}}`. `score` counts how often each method is
 first; a shared place counts in parts.
+
+The peers know no speed limits. With `--pace wait` the person waits in each pose until the robot
+rests: a slow hand is judged by what it shows, and not by how much later it shows it.
 """
 
 from __future__ import annotations
@@ -20,7 +23,16 @@ from pathlib import Path
 
 import numpy as np
 import shared_hands
-from gesture_tours import RATE, Pose, map_tour, read_held_back, read_poses, stream
+from gesture_tours import (
+    PACES,
+    RATE,
+    Pace,
+    Pose,
+    map_tour,
+    read_held_back,
+    read_poses,
+    stream,
+)
 from peers.results import run_peer
 
 from handmap_qp import Recording
@@ -30,7 +42,9 @@ METHODS = ("teleoperation", "dex-vector", "dex-dexpilot")
 _ROWS = 5
 
 
-def draw(folder: Path, robots: list[str], seed: int, poses: list[Pose]) -> None:
+def draw(
+    folder: Path, robots: list[str], seed: int, poses: list[Pose], pace: Pace
+) -> None:
     """Write the sheets of every robot, and the key."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
@@ -43,7 +57,7 @@ def draw(folder: Path, robots: list[str], seed: int, poses: list[Pose]) -> None:
     key: dict[str, dict[str, list[str]]] = {}
     for name in robots:
         robot = shared_hands.load(name)
-        joints = [map_tour(robot, poses, order, METHODS[0]).q]
+        joints = [map_tour(robot, poses, order, METHODS[0], pace).q]
         joints += [
             run_peer(method, tour, robot).q[step - 1 :: step] for method in METHODS[1:]
         ]
@@ -96,13 +110,14 @@ def main() -> None:
     drawn.add_argument(
         "--held-back", action="store_true", help="poses that nothing was tuned on"
     )
+    drawn.add_argument("--pace", choices=[*PACES], default="half-second")
     scored = commands.add_parser("score", help="count the first places")
     scored.add_argument("folder", type=Path)
     scored.add_argument("answers", type=Path)
     given = parser.parse_args()
     if given.command == "draw":
         poses = read_held_back() if given.held_back else read_poses()
-        draw(given.folder, given.robots, given.seed, poses)
+        draw(given.folder, given.robots, given.seed, poses, PACES[given.pace])
     else:
         score(given.folder, given.answers)
 
