@@ -4,12 +4,12 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from itertools import chain
+from itertools import chain, combinations
 
 import numpy as np
 
 from handmap_core.se3 import Array, lengths, unit
-from handmap_qp.hands import Side, human
+from handmap_qp.hands import Names, Side, human
 from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
 from .robot import Robot
@@ -127,11 +127,12 @@ class Anatomy:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         peaks = [_stands_out(part) for part in _differences(self.flexion)]
         # The number of joints counts less than the others, a name as much as a clear margin; where
-        # every finger has its own name, they decide.
+        # every finger has its own name, or one of several has lost it, they decide.
         sizes = np.array([*map(len, names)])
         is_named = np.array(self._labels) == "thumb"
         scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
-        scores += (_DECISIVE if all(self._labels) else _CLEAR) * is_named
+        is_decisive = self._labels.count(None) <= int(count > 3)
+        scores += (_DECISIVE if is_decisive else _CLEAR) * is_named
         best = int(np.argmax(scores))
         lead = np.diff(np.sort(scores))[-1]
         margin = lead if count > 2 else _CLEAR * is_named.sum()
@@ -338,25 +339,43 @@ class Anatomy:
         own = {labels.index(label): label for label in FINGERS if label in labels}
         # A finger of another name may be given as the thumb.
         own.pop(self._thumb, None)
-        named = {
-            i: FINGERS[k] if k < len(FINGERS) else f"finger{k + 2}"
-            for k, i in enumerate(order)
-        }
-        if 0 < len(order) == len(own):
-            if [*own] == order:
+        named = _fitting(order, {}) or {}
+        is_named = 0 < len(order) == len(own)
+        if (fitting := _fitting(order, own)) and own:
+            named = fitting
+            if is_named:
                 how += "; the names agree"
-                named = own
                 confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
-            elif apart < 2.0 * NARROW or confidence < _LIKELY:
-                how = "from the names; their places are ambiguous"
-                named = own
-                confidence = _LIKELY
             else:
-                how += f"; the names say {', '.join(own.values())}"
-                confidence = min(confidence, _DISPUTED)
+                how += f"; the names {', '.join(own.values())} agree"
+        elif own and (apart < 2.0 * NARROW or confidence < _LIKELY):
+            how = "from the names; their places are ambiguous"
+            free = (name for name in named.values() if name not in own.values())
+            given = own | {i: next(free) for i in order if i not in own}
+            ranks = _names_of(len(order))
+            named = dict(sorted(given.items(), key=lambda item: ranks.index(item[1])))
+            confidence = _LIKELY if is_named else confidence
+        elif own:
+            how += f"; the names say {', '.join(own.values())}"
+            confidence = min(confidence, _DISPUTED)
         if self._thumb is not None:
             named = {self._thumb: "thumb", **named}
         return named, Clue("fingers", ", ".join(named.values()), how, confidence)
+
+
+def _fitting(order: list[int], own: dict[int, str]) -> dict[int, str] | None:
+    """Return names of fingers in their order that include their own ones; None if none do."""
+    for names in combinations(_names_of(len(order)), len(order)):
+        named = dict(zip(order, names, strict=True))
+        if named | own == named:
+            return named
+    return None
+
+
+def _names_of(count: int) -> Names:
+    """Return the names that some fingers besides the thumb may have, outwards."""
+    more = range(len(FINGERS) + 2, count + 2)
+    return (*FINGERS, *(f"finger{k}" for k in more))
 
 
 def _differences(flexion: HandFlexion) -> tuple[Array, Array, Array]:
