@@ -14,6 +14,7 @@ from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
 from .robot import Robot
 from .structure import Clue, find_structure
+from .two_hands import PairedSide
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -49,6 +50,7 @@ class Anatomy:
         robot: The robot; the palm becomes its own.
         side: The side, if known.
         thumb: A link or joint of the thumb, if known.
+        paired: The side by the other hand of a robot, if there is one.
 
     Attributes:
         robot: The robot.
@@ -66,8 +68,15 @@ class Anatomy:
         HandError: If the robot is no hand, or no finger has that link or joint.
     """
 
-    def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        side: Side | None,
+        thumb: str | None,
+        paired: PairedSide | None = None,
+    ) -> None:
         self.robot = robot
+        self._paired = paired
         palm, fingers, self.notes = find_structure(robot)
         self._names = [[*finger.joint_names, *finger.links] for finger in fingers]
         self._labels = named_fingers(self._names)
@@ -286,7 +295,12 @@ class Anatomy:
         robot = self.robot
         hints = (robot.name, robot.file.stem, robot.palm_frame.name)
         source = "as given" if given else "from the names"
-        declared = given or named_side(chain(hints, *self._names))
+        paired = self._paired
+        named = named_side(chain(hints, *self._names))
+        if paired and not given and paired.side != named:
+            source = paired.how
+            named = paired.side
+        declared = given or named
         if radial.confidence == 0.0:
             how = f"{source}; the thumb is in the middle"
             sure = 1.0 if given else 0.65
@@ -305,6 +319,11 @@ class Anatomy:
             how = f"{source}, and {how}"
             sure = 1.0 if given else _CERTAIN if least >= _LIKELY else _LIKELY
             dorsal = _confirmed(dorsal)
+        elif declared and is_clear and paired and paired.is_forced:
+            # The other hand is of the side that this one looks like. Its palm is known.
+            answer = declared
+            how = f"{source}; {how}, as on the other hand"
+            sure = _DISPUTED
         elif declared and is_clear and not given and radial.confidence >= _LIKELY:
             # They disagree: names yield to clear flexion, an owner's word does not.
             how += f"; the names say {declared}"
