@@ -27,7 +27,7 @@ from handmap_qp.hands import (
     WristSpec,
     ball_in,
 )
-from .anatomy import Anatomy
+from .anatomy import Anatomy, find_anatomy
 from .robot import Robot
 from .structure import Clue, RobotFinger, find_palms, find_structure
 from .two_hands import PairedSide, paired_sides
@@ -197,7 +197,7 @@ def _detect(
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes = [f"{what}; keep them with --base {above}"]
-    hand = Anatomy(robot, side, thumb, paired)
+    hand = find_anatomy(robot, side, thumb, paired)
     part = robot if base is None else Robot(urdf, text, root=base)
     spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
     notes += [*hand.notes, *robot.remarks]
