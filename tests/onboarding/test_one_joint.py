@@ -74,3 +74,28 @@ def test_jaws_that_are_parallel_at_zero_close_all_the_same(is_open: bool) -> Non
     assert found.spec.palm.dorsal[2] > 0.8
     assert found.spec.palm.distal[0] > 0.8
     assert all(0.0 < at < 0.5 for at in found.spec.rest.values())
+
+
+def test_a_thumb_by_name_beside_one_finger_is_no_jaw() -> None:
+    """A mitten: all fingers are one body."""
+    for k, turn in enumerate(turns()):
+        if k % 4 == 0:
+            hand = BoxHand(names=("thumb", "fingers"), joints=1, turn=turn)
+            found = detect(Path("x"), hand.urdf())
+            expected = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+            np.testing.assert_allclose(
+                _dorsal_and_distal(found, hand), expected, atol=1e-6
+            )
+
+
+def test_jaws_whose_slides_start_beyond_their_tips_lie_ahead() -> None:
+    jaws = "".join(
+        f'<link name="{name}"><visual><origin xyz="-.04 0 0"/><geometry>'
+        f'<box size=".08 .01 .02"/></geometry></visual></link>'
+        f'<joint name="{name}" type="prismatic"><parent link="base"/><child link="{name}"/>'
+        f'<origin xyz=".17 {y} 0"/><axis xyz="0 {-np.sign(y)} 0"/>'
+        '<limit lower="0" upper=".04" effort="1" velocity="1"/></joint>'
+        for name, y in (("one", 0.05), ("other", -0.05))
+    )
+    found = detect(Path("x"), f'<robot name="x"><link name="base"/>{jaws}</robot>')
+    assert found.spec.palm.distal[0] > 0.9

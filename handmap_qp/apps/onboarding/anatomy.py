@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_core.se3 import Array, lengths, unit
-from handmap_qp.hands import Names, Side, human
+from handmap_qp.hands import THUMB, Names, Side, human
 from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
 from .hypotheses import Hypothesis
@@ -92,8 +92,9 @@ def find_anatomy(
     """
     palm, fingers, notes = find_structure(robot)
     names = [[*finger.joint_names, *finger.links] for finger in fingers]
-    flexion = HandFlexion(robot, fingers)
-    parts = Parts(robot, palm, fingers, notes, names, named_fingers(names), flexion)
+    labels = named_fingers(names)
+    flexion = HandFlexion(robot, fingers, has_thumb=THUMB in labels)
+    parts = Parts(robot, palm, fingers, notes, names, labels, flexion)
     given = None if thumb is None else _given_thumb(parts, thumb)
     first = Anatomy(parts, side, paired, given)
     thumbs = [given] if given is not None else range(len(fingers) * (len(fingers) > 2))
@@ -219,7 +220,10 @@ class Anatomy:
         if flexion.ways[self.others].sum(axis=0) @ self.dorsal > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             self.flexion = HandFlexion(
-                self.robot, self._parts.fingers, palmar=-self.dorsal
+                self.robot,
+                self._parts.fingers,
+                palmar=-self.dorsal,
+                has_thumb=THUMB in self._labels,
             )
 
     def told(self, what: str, how: str, most: float) -> None:
@@ -290,6 +294,10 @@ class Anatomy:
         if lengths(mean) < 1e-6:
             # Jaws without a length lie ahead of the palm's origin.
             mean = flexion.tips_closed.mean(axis=0)
+        ahead = unit(flexion.tips_closed.mean(axis=0))
+        if flexion.slides.any() and not axis.any() and unit(mean) @ ahead < _OPPOSED:
+            # Slides of jaws may start anywhere, also beyond the tips.
+            mean = lengths(mean) * ahead
         beside = _beside(mean, axis)
         middle = knuckles.mean(axis=0)
         mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)

@@ -49,6 +49,7 @@ class HandFlexion:
         fingers: Fingers of it.
         palmar: Direction out of the palm in the palm link's frame, zero if unknown: the way of
             fingers that curl equally far both ways, shape (3,).
+        has_thumb: Whether a finger is named as a thumb: the others are then no jaws.
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
@@ -75,6 +76,8 @@ class HandFlexion:
         robot: Hand,
         fingers: Sequence[Finger],
         palmar: Array = _UNKNOWN,
+        *,
+        has_thumb: bool = False,
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -90,7 +93,7 @@ class HandFlexion:
         self._curls = np.zeros_like(straight)
         self.axes = np.zeros_like(self.bases)
         senses = np.zeros(len(fingers))
-        unfolded = self._unfolded()
+        unfolded = self._unfolded(has_thumb)
         for i, group in enumerate(finger.flexion for finger in fingers):
             if group and (group.curls or unfolded[i]):
                 self._curls[i] = group.signs
@@ -128,7 +131,7 @@ class HandFlexion:
         """Return the fingertips in postures of shape (..., n) [m], shape (..., F, 3)."""
         return self._view.points(q, self._tips)
 
-    def _unfolded(self) -> Array:
+    def _unfolded(self, has_thumb: bool) -> Array:
         """Return the confidence in fingers with one flexing joint that zero is straight, (F,).
 
         It is 0 for jaws: fingers that no other one is parallel to at zero, or that go apart.
@@ -155,6 +158,8 @@ class HandFlexion:
         most = is_alike.sum(axis=1).argmax()
         group = is_alike[most]
         size = int(group.sum())
+        if has_thumb and count <= _ALIKE:
+            return np.where(ways.any(axis=1), _BESIDE, 0.0)
         if (
             size < _ALIKE
             or count <= _ALIKE
