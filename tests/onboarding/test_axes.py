@@ -13,7 +13,6 @@ from strategies import generators
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.detect import Detection, detect
-from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.hands import OTHER_SIDE, Side
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -173,29 +172,6 @@ def test_svh_is_as_its_drawing_says() -> None:
     last = hand.link_poses(["right_hand_t"], hand.rest)[0, :3, 3]
     tip = hand.points(hand.rest)[names.index("index_tip")]
     assert np.linalg.norm(tip - last) == pytest.approx(0.0225, abs=0.001)
-
-
-NAMES = {
-    "words": ([["thumb_1"], ["index_middle"], ["middle_distal"], ["pinky_tip"]],
-              ["thumb", "index", "middle", "little"]),
-    "shadow": ([["rh_THJ5", "rh_thmiddle"], ["rh_FFJ4", "rh_ffmiddle"], ["rh_MFJ4", "rh_mfmiddle"]],
-               ["thumb", "index", "middle"]),
-    "letters": ([["hand_T-AP", "hand_T-TS"], ["hand_I-AP", "hand_I-PP"], ["hand_M-AP", "hand_M-P"]],
-                ["thumb", "index", "middle"]),
-    "twice": ([["index_1"], ["index_2"]], [None, None]),
-    "legs": ([["rf_hip"], ["lf_hip"]], [None, None]),
-    "springs": ([["spring_1"], ["springs"]], [None, None]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("chains", "expected"), NAMES.values(), ids=NAMES.keys())
-def test_names_of_fingers(chains: list[list[str]], expected: list[str | None]) -> None:
-    assert named_fingers(chains) == expected
-
-
-def test_names_of_sides() -> None:
-    assert named_side(["r_palm", "l3"]) == "right"
-    assert named_side(["Left_index", "right_hand"]) is None
 
 
 def two_hands(apart: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from contextlib import chdir
 from pathlib import Path
 
@@ -154,15 +153,13 @@ def test_a_robot_in_mjcf_is_converted_once(
     ]
 
 
-def test_two_hands_of_one_side_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_hands_of_one_side_get_those_of_their_names(tmp_path: Path) -> None:
     (tmp_path / "two.xml").write_text(two_hands_mjcf(1.0), encoding="utf-8")
     words = ["hands", "init", str(tmp_path / "two.xml")]
-    assert main([*words, "--out", str(tmp_path / "hand.yaml")]) == 2
-    printed = capsys.readouterr().err
-    assert re.search(r"left_palm and right_palm both look like (left|right)", printed)
-    assert "--root and --side" in printed
+    assert main([*words, "--out", str(tmp_path / "hand.yaml")]) == 0
+    for side in ("left", "right"):
+        spec = read_hand_spec(tmp_path / f"{side}.yaml")
+        assert (spec.side, spec.palm.link) == (side, f"{side}_palm")
 
 
 def test_the_list_names_all_robots(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,16 +4,20 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from itertools import chain
+from collections.abc import Sequence
+from itertools import chain, combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from handmap_core.se3 import Array, lengths, unit
-from handmap_qp.hands import Side, human
+from handmap_qp.hands import THUMB, Names, Side, human
 from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
+from .hypotheses import Hypothesis
 from .robot import Robot
-from .structure import Clue, find_structure
+from .structure import Clue, RobotFinger, find_structure
+from .two_hands import PairedSide
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -34,6 +38,11 @@ _SNAP = 5.0
 _SNAP_WITH_PALM = 16.0
 # Largest angle of the axis of flexion to another of these axes for the latter [deg].
 _SNAP_AXIS = 8.0
+# Ranges that show flexion with more confidence than this are clear, others count this share of it.
+_CLEAR_FLEXION = 0.9
+_VAGUE = 0.4
+# A thumb that closes this far before the palm is clearly there, in lengths of the fingers.
+_HIGH = 0.3
 # Directions agree within this angle [deg].
 _AGREEING = 25.0
 # A thumb opposes the fingers' direction if the cosine between both is smaller.
@@ -42,13 +51,75 @@ _OPPOSED = -0.5
 _UNKNOWN = np.zeros(3)
 
 
-class Anatomy:
-    """The hand of a robot: its directions and fingers, by what flexion, places and names say.
+class Parts(NamedTuple):
+    """What a hand consists of, whatever it may be.
+
+    Attributes:
+        robot: The robot.
+        palm: The palm's link, with its evidence.
+        fingers: All fingers, in the order of the file.
+        notes: Chains that were ignored, and why.
+        names: Names of the joints and links of each finger.
+        labels: The anatomical name in these, of each finger.
+        flexion: How all fingers flex.
+    """
+
+    robot: Robot
+    palm: Clue
+    fingers: list[RobotFinger]
+    notes: list[str]
+    names: list[list[str]]
+    labels: list[str | None]
+    flexion: HandFlexion
+
+
+def find_anatomy(
+    robot: Robot,
+    side: Side | None = None,
+    thumb: str | None = None,
+    paired: PairedSide | None = None,
+) -> "Anatomy":
+    """Return what a hand most likely is, of all that it may be.
 
     Args:
         robot: The robot; the palm becomes its own.
         side: The side, if known.
         thumb: A link or joint of the thumb, if known.
+        paired: The side by the other hand of a robot, if there is one.
+
+    Raises:
+        HandError: If the robot is no hand, or no finger has that link or joint.
+    """
+    palm, fingers, notes = find_structure(robot)
+    names = [[*finger.joint_names, *finger.links] for finger in fingers]
+    labels = named_fingers(names)
+    flexion = HandFlexion(robot, fingers, has_thumb=THUMB in labels)
+    parts = Parts(robot, palm, fingers, notes, names, labels, flexion)
+    given = None if thumb is None else _given_thumb(parts, thumb)
+    first = Anatomy(parts, side, paired, given)
+    thumbs = [given] if given is not None else range(len(fingers) * (len(fingers) > 2))
+    ways = (None,) if side or (paired and paired.is_forced) else (False, True)
+    others = [
+        Anatomy(parts, side, paired, given, assumed=i, is_turned=is_turned)
+        for i in thumbs
+        for is_turned in ways
+    ]
+    best = choose(first, others)
+    best.settle()
+    return best
+
+
+class Anatomy:
+    """A hand of a robot as it may be: its directions and fingers, by flexion, places and names.
+
+    Args:
+        parts: What it consists of.
+        side: The side, if known.
+        paired: The side by the other hand of a robot, if there is one.
+        thumb: Index of the thumb, if known.
+        assumed: Index of the thumb that this hypothesis assumes; that which differs if omitted.
+        is_turned: Whether the palm is turned over against the flexion that was found; by the side
+            in the names if omitted.
 
     Attributes:
         robot: The robot.
@@ -61,22 +132,39 @@ class Anatomy:
         fingers: The fingers with their anatomical names, the thumb first.
         clues: Evidence for each of these.
         sure: The confidence in them by what they are.
-
-    Raises:
-        HandError: If the robot is no hand, or no finger has that link or joint.
+        hypothesis: What all evidence says of it.
+        ranking: All that was compared, the one with most evidence first.
     """
 
-    def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
-        self.robot = robot
-        palm, fingers, self.notes = find_structure(robot)
-        self._names = [[*finger.joint_names, *finger.links] for finger in fingers]
-        self._labels = named_fingers(self._names)
-        self.flexion = flexion = HandFlexion(robot, fingers)
+    def __init__(
+        self,
+        parts: Parts,
+        side: Side | None,
+        paired: PairedSide | None,
+        thumb: int | None = None,
+        *,
+        assumed: int | None = None,
+        is_turned: bool | None = None,
+    ) -> None:
+        self._parts = parts
+        self.robot = parts.robot
+        self.notes = [*parts.notes]
+        self._paired = paired
+        self._is_turned = is_turned
+        self._names = parts.names
+        self._labels = parts.labels
+        self.flexion = flexion = parts.flexion
+        self._values: dict[str, float] = {}
+        self.ranking: tuple[Hypothesis, ...] = ()
         # The thumb, if there are several fingers, and the other ones.
-        self._thumb, self._thumb_clue = (
-            self._find_thumb() if thumb is None else self._given_thumb(thumb)
-        )
-        self.others = [i for i in range(len(fingers)) if i != self._thumb]
+        known = assumed if thumb is None else thumb
+        self._thumb, self._thumb_clue = self._find_thumb(known)
+        if thumb is not None:
+            self._thumb = thumb
+            link = parts.names[thumb][-1]
+            self._thumb_clue = Clue("thumb", link, "as given", 1.0)
+        count = len(parts.fingers)
+        self.others = [i for i in range(count) if i != self._thumb]
         axes = flexion.axes[self.others]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis of flexion.
@@ -92,34 +180,65 @@ class Anatomy:
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
             radial = radial._replace(answer=outwards, confidence=0.2)
-        named, order = self._name_fingers(radial)
-        for i, name in named.items():
-            fingers[i].name = name
-        self.fingers = [fingers[i] for i in named]
+        self._named, order = self._name_fingers(radial)
+        self.fingers = [parts.fingers[i] for i in self._named]
         self.distal = distal.answer
         self.dorsal = turned.answer
         # No direction is surer than the fingertips.
-        sure = float(np.median([finger.end.confidence for finger in fingers]))
+        sure = float(np.median([finger.end.confidence for finger in parts.fingers]))
         directions = [
             each._replace(
                 answer=_shown(each.answer), confidence=min(each.confidence, sure)
             )
             for each in (distal, turned)
         ]
-        self.clues = [palm, self._thumb_clue, *directions, found, order]
+        self.clues = [parts.palm, self._thumb_clue, *directions, found, order]
         self.sure = {clue.what: clue.confidence for clue in self.clues}
+        is_over = bool(turned.answer @ dorsal.answer < 0.0)
+        has_side = radial.confidence > 0.2
+        self._weigh(dorsal, has_side=has_side, sense=-1.0 if is_over else 1.0)
+        self.hypothesis = Hypothesis(
+            self._thumb, self._thumb_clue.answer, self.side, is_over, self._values
+        )
+
+    def _weigh(self, dorsal: Clue, *, has_side: bool, sense: float) -> None:
+        """Note what evidence says of the side, and of a palm that is turned over (sense -1)."""
+        is_clear = dorsal.sign > _CLEAR_FLEXION
+        self._values["flexion"] = sense * (1.0 if is_clear else _VAGUE * dorsal.sign)
+        height = sense * self._thumb_height(dorsal.answer)
+        self._values["thumb ahead"] = float(np.clip(height / _HIGH, -1.0, 1.0))
+        declared, _ = self._declared
+        if has_side and declared:
+            what = "other hand" if self._paired else "side name"
+            self._values[what] = 1.0 if declared == self.side else -1.0
+
+    def settle(self) -> None:
+        """Name the fingers, and flex them to the palm, once this is what the hand is."""
+        for finger, name in zip(self.fingers, self._named.values(), strict=True):
+            finger.name = name
+        flexion = self.flexion
         if flexion.ways[self.others].sum(axis=0) @ self.dorsal > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
-            self.flexion = HandFlexion(robot, fingers, palmar=-self.dorsal)
+            self.flexion = HandFlexion(
+                self.robot,
+                self._parts.fingers,
+                palmar=-self.dorsal,
+                has_thumb=THUMB in self._labels,
+            )
 
-    def _given_thumb(self, given: str) -> tuple[int, Clue]:
-        """Return the finger of a link or joint."""
-        for i, group in enumerate(self._names):
-            if given in group:
-                return i, Clue("thumb", group[-1], "as given", 1.0)
-        raise self.robot.error(f"no finger has a link or joint {given!r}", given)
+    def told(self, what: str, how: str, most: float) -> None:
+        """Add to the evidence for one answer, which is no surer than `most`."""
+        self.clues = [
+            clue._replace(
+                how=f"{clue.how}; {how}", confidence=min(clue.confidence, most)
+            )
+            if clue.what == what
+            else clue
+            for clue in self.clues
+        ]
+        self.sure = {clue.what: clue.confidence for clue in self.clues}
 
-    def _find_thumb(self) -> tuple[int | None, Clue]:
+    def _find_thumb(self, assumed: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
         names = self._names
         count = len(names)
@@ -127,11 +246,13 @@ class Anatomy:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         peaks = [_stands_out(part) for part in _differences(self.flexion)]
         # The number of joints counts less than the others, a name as much as a clear margin; where
-        # every finger has its own name, they decide.
+        # every finger has its own name, or one of several has lost it, they decide.
         sizes = np.array([*map(len, names)])
         is_named = np.array(self._labels) == "thumb"
         scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
-        scores += (_DECISIVE if all(self._labels) else _CLEAR) * is_named
+        is_decisive = self._labels.count(None) <= int(count > 3)
+        differences = scores
+        scores = scores + (_DECISIVE if is_decisive else _CLEAR) * is_named
         best = int(np.argmax(scores))
         lead = np.diff(np.sort(scores))[-1]
         margin = lead if count > 2 else _CLEAR * is_named.sum()
@@ -144,9 +265,17 @@ class Anatomy:
             how = "the fingers are alike: one that differs little was taken"
             sure = 0.3
             best = best if margin > 1e-6 else 0
+        if assumed is not None and assumed != best:
+            best = assumed
+            how = "chosen by all evidence together"
+            sure = _LIKELY
         elif is_named.any() and not is_named[best]:
             how += "; the names suggest another finger"
             sure = _DISPUTED
+        named = 1.0 if is_decisive else 0.5 * _CLEAR
+        self._values["difference"] = float(np.clip(differences[best], -1.0, 1.0))
+        if is_named.any() or self._labels[best]:
+            self._values["thumb name"] = named if is_named[best] else -named
         return best, Clue("thumb", names[best][-1], how, sure)
 
     def _find_distal(self) -> Clue:
@@ -165,6 +294,10 @@ class Anatomy:
         if lengths(mean) < 1e-6:
             # Jaws without a length lie ahead of the palm's origin.
             mean = flexion.tips_closed.mean(axis=0)
+        ahead = unit(flexion.tips_closed.mean(axis=0))
+        if flexion.slides.any() and not axis.any() and unit(mean) @ ahead < _OPPOSED:
+            # Slides of jaws may start anywhere, also beyond the tips.
+            mean = lengths(mean) * ahead
         beside = _beside(mean, axis)
         middle = knuckles.mean(axis=0)
         mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)
@@ -263,6 +396,7 @@ class Anatomy:
         place *= abs(place) > _VISIBLE
         how = "the thumb's place"
         is_clear = abs(place) > _CLEAR
+        self._values["finger names"] = float(np.sign(named * place))
         confidence = (
             _CERTAIN if is_outside else _LIKELY if is_clear else 0.65 if place else 0.0
         )
@@ -275,6 +409,18 @@ class Anatomy:
         # Names count as much as a clear place.
         return Clue("radial", np.sign(place + _CLEAR * named) * across, how, confidence)
 
+    def _declare(self, given: Side | None) -> tuple[Side | None, str]:
+        """Return the side that is given, of the other hand or in the names, and its source."""
+        if given:
+            return given, "as given"
+        robot = self.robot
+        hints = (robot.name, robot.file.stem, robot.palm_frame.name)
+        named = named_side(chain(hints, *self._names))
+        paired = self._paired
+        if paired and paired.side != named:
+            return paired.side, paired.how
+        return named, "from the names"
+
     def _find_side(
         self, given: Side | None, across: Array, dorsal: Clue, radial: Clue
     ) -> tuple[Clue, Clue]:
@@ -282,10 +428,7 @@ class Anatomy:
 
         A given or named side may turn the dorsal direction over.
         """
-        robot = self.robot
-        hints = (robot.name, robot.file.stem, robot.palm_frame.name)
-        source = "as given" if given else "from the names"
-        declared = given or named_side(chain(hints, *self._names))
+        declared, source = self._declared = self._declare(given)
         if radial.confidence == 0.0:
             how = f"{source}; the thumb is in the middle"
             sure = 1.0 if given else 0.65
@@ -298,12 +441,23 @@ class Anatomy:
         how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
         least = min(radial.confidence, self._thumb_clue.confidence)
         sure = min(least, dorsal.confidence)
+        if self._is_turned and not given:
+            back = f"the back of a {place} hand with its thumb there"
+            over = Clue("dorsal", -dorsal.answer + 0.0, back, min(_LIKELY, least), 0.0)
+            return over, Clue("side", place, how, min(_LIKELY, least))
+        if self._is_turned is False and declared != found and not given:
+            return dorsal, Clue("side", found, how, sure)
         answer = found
-        is_clear = dorsal.sign > 0.9
+        is_clear = dorsal.sign > _CLEAR_FLEXION
         if declared == found:
             how = f"{source}, and {how}"
             sure = 1.0 if given else _CERTAIN if least >= _LIKELY else _LIKELY
             dorsal = _confirmed(dorsal)
+        elif declared and is_clear and self._paired and self._paired.is_forced:
+            # The other hand is of the side that this one looks like. Its palm is known.
+            answer = declared
+            how = f"{source}; {how}, as on the other hand"
+            sure = _DISPUTED
         elif declared and is_clear and not given and radial.confidence >= _LIKELY:
             # They disagree: names yield to clear flexion, an owner's word does not.
             how += f"; the names say {declared}"
@@ -338,25 +492,75 @@ class Anatomy:
         own = {labels.index(label): label for label in FINGERS if label in labels}
         # A finger of another name may be given as the thumb.
         own.pop(self._thumb, None)
-        named = {
-            i: FINGERS[k] if k < len(FINGERS) else f"finger{k + 2}"
-            for k, i in enumerate(order)
-        }
-        if 0 < len(order) == len(own):
-            if [*own] == order:
+        named = _fitting(order, {}) or {}
+        is_named = 0 < len(order) == len(own)
+        if (fitting := _fitting(order, own)) and own:
+            named = fitting
+            if is_named:
                 how += "; the names agree"
-                named = own
                 confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
-            elif apart < 2.0 * NARROW or confidence < _LIKELY:
-                how = "from the names; their places are ambiguous"
-                named = own
-                confidence = _LIKELY
             else:
-                how += f"; the names say {', '.join(own.values())}"
-                confidence = min(confidence, _DISPUTED)
+                how += f"; the names {', '.join(own.values())} agree"
+        elif own and (apart < 2.0 * NARROW or confidence < _LIKELY):
+            how = "from the names; their places are ambiguous"
+            free = (name for name in named.values() if name not in own.values())
+            given = own | {i: next(free) for i in order if i not in own}
+            ranks = _names_of(len(order))
+            named = dict(sorted(given.items(), key=lambda item: ranks.index(item[1])))
+            confidence = _LIKELY if is_named else confidence
+        elif own:
+            how += f"; the names say {', '.join(own.values())}"
+            confidence = min(confidence, _DISPUTED)
         if self._thumb is not None:
             named = {self._thumb: "thumb", **named}
         return named, Clue("fingers", ", ".join(named.values()), how, confidence)
+
+
+def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
+    """Return the hypothesis with most evidence, and note the next one if it has nearly as much.
+
+    Args:
+        first: The one that is found step by step; it yields only to a clearly better one.
+        others: All others, and this one again.
+    """
+    ranked = sorted(others, key=lambda one: -one.hypothesis.score)
+    best = first
+    distinct = {one.hypothesis.answer: one.hypothesis for one in [*ranked[::-1], first]}
+    ranking = sorted(distinct.values(), key=lambda one: -one.score)
+    if ranked and ranked[0].hypothesis.overrules(first.hypothesis):
+        best = ranked[0]
+        why = best.hypothesis.told_from(first.hypothesis)
+        for what in best.hypothesis.differences(first.hypothesis):
+            best.told(what, why, _LIKELY)
+    mine = best.hypothesis
+    best.ranking = tuple(ranking)
+    following = next((one for one in ranking if mine.differences(one)), None)
+    if following and (note := mine.doubt(following)):
+        best.notes.append(note)
+    return best
+
+
+def _given_thumb(parts: Parts, given: str) -> int:
+    """Return the finger of a link or joint."""
+    for i, group in enumerate(parts.names):
+        if given in group:
+            return i
+    raise parts.robot.error(f"no finger has a link or joint {given!r}", given)
+
+
+def _fitting(order: list[int], own: dict[int, str]) -> dict[int, str] | None:
+    """Return names of fingers in their order that include their own ones; None if none do."""
+    for names in combinations(_names_of(len(order)), len(order)):
+        named = dict(zip(order, names, strict=True))
+        if named | own == named:
+            return named
+    return None
+
+
+def _names_of(count: int) -> Names:
+    """Return the names that some fingers besides the thumb may have, outwards."""
+    more = range(len(FINGERS) + 2, count + 2)
+    return (*FINGERS, *(f"finger{k}" for k in more))
 
 
 def _differences(flexion: HandFlexion) -> tuple[Array, Array, Array]:

@@ -27,9 +27,10 @@ from handmap_qp.hands import (
     WristSpec,
     ball_in,
 )
-from .anatomy import Anatomy
+from .anatomy import Anatomy, find_anatomy
 from .robot import Robot
 from .structure import Clue, RobotFinger, find_palms, find_structure
+from .two_hands import PairedSide, paired_sides
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE = 0.4
@@ -100,16 +101,37 @@ def detect_hands(
         robot = Robot(urdf)
         palms = find_palms(robot)
         if len(palms) == 2:
-            shared = base or robot.root
-            found = [detect(urdf, root=palm, base=shared) for palm in palms]
-            found.sort(key=lambda one: one.spec.side)
-            first = found[0].spec.side
-            if first == found[1].spec.side:
-                both = f"{' and '.join(palms)} both look like {first} hands"
-                advice = "describe each with --root and --side"
-                raise robot.error(f"{both}; {advice}", palms)
-            return found
+            return _detect_two(robot, (palms[0], palms[1]), base)
     return [detect(urdf, root=root, base=base, side=side, thumb=thumb, name=name)]
+
+
+def _detect_two(
+    robot: Robot, palms: tuple[str, str], base: str | None
+) -> list[Detection]:
+    """Find two hands of a robot, the left one first.
+
+    If both look like hands of one side, their names or places tell them apart: the one that is less
+    certain gets the other side.
+    """
+    shared = base or robot.root
+    pair = paired_sides(robot, palms)
+
+    def found(k: int, is_forced: bool = False) -> Detection:
+        side = pair[k]._replace(is_forced=is_forced) if pair else None
+        return _detect(
+            robot.file, None, palms[k], shared, paired=side, may_be_rigid=True
+        )
+
+    hands = [found(0), found(1)]
+    first, second = (hand.spec.side for hand in hands)
+    if first == second:
+        if not pair:
+            both = f"{' and '.join(palms)} both look like {first} hands"
+            advice = "describe each with --root and --side"
+            raise robot.error(f"{both}; {advice}", palms)
+        wrong = next(k for k, side in enumerate(pair) if side.side != first)
+        hands[wrong] = found(wrong, is_forced=True)
+    return sorted(hands, key=lambda one: one.spec.side)
 
 
 def detect(
@@ -137,6 +159,34 @@ def detect(
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
+    return _detect(urdf, text, root, base, side, thumb, name)
+
+
+def _detect(
+    urdf: Path,
+    text: str | bytes | None,
+    root: str | None,
+    base: str | None,
+    side: Side | None = None,
+    thumb: str | None = None,
+    name: str | None = None,
+    *,
+    paired: PairedSide | None = None,
+    may_be_rigid: bool = False,
+) -> Detection:
+    """Find a hand as `detect` does, or one of two hands.
+
+    Args:
+        urdf: As in `detect`.
+        text: As in `detect`.
+        root: As in `detect`.
+        base: As in `detect`.
+        side: As in `detect`.
+        thumb: As in `detect`.
+        name: As in `detect`.
+        paired: The side by the other hand.
+        may_be_rigid: Whether the hand may hang from the base without a joint.
+    """
     robot = Robot(urdf, text, root=root)
     find_structure(robot)
     palm = robot.palm_frame.name
@@ -147,24 +197,25 @@ def detect(
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes = [f"{what}; keep them with --base {above}"]
-    hand = Anatomy(robot, side, thumb)
+    hand = find_anatomy(robot, side, thumb, paired)
     part = robot if base is None else Robot(urdf, text, root=base)
-    spec = _describe(hand, name, part)
+    spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
     notes += [*hand.notes, *robot.remarks]
     if base is not None:
         arm = [joint for joint in spec.joints if joint not in robot.joint_names]
         others = {*part.joint_names} - {*spec.joints}
-        notes += [
-            f"the arm from {base} to {robot.root} moves the wrist: {', '.join(arm)}",
-            f"{len(others)} other joints are locked",
-        ]
+        moved = f"the arm from {base} to {robot.root} moves the wrist: {', '.join(arm)}"
+        fixed = f"the hand is fixed to {base}: its wrist does not move"
+        notes += [moved if arm else fixed, f"{len(others)} other joints are locked"]
     chains = {
         finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
 
-def _describe(hand: Anatomy, name: str | None, part: Robot) -> HandSpec:
+def _describe(
+    hand: Anatomy, name: str | None, part: Robot, *, may_be_rigid: bool
+) -> HandSpec:
     """Return the description; `part` is the robot from the arm's base, if there is one.
 
     It adds clues of what it finds to those of the hand, as the functions below do.
@@ -172,7 +223,8 @@ def _describe(hand: Anatomy, name: str | None, part: Robot) -> HandSpec:
     robot = hand.robot
     drivers = chain.from_iterable(finger.drivers for finger in hand.fingers)
     own = (*dict.fromkeys(drivers),)
-    arm = () if part is robot else _arm(part, robot.root)
+    has_base = part is not robot
+    arm = _arm(part, robot.root, may_be_rigid=may_be_rigid) if has_base else ()
     joints = (*arm, *own)
     still = robot.positions(robot.rest) | part.positions(part.rest)
     origin = _palm_origin(hand)
@@ -192,7 +244,7 @@ def _describe(hand: Anatomy, name: str | None, part: Robot) -> HandSpec:
             _vector(hand.dorsal, 9),
             _vector(origin, 4),
         ),
-        wrist=WristSpec(robot.root, "fixed" if arm else "floating"),
+        wrist=WristSpec(robot.root, "fixed" if has_base else "floating"),
         joints=joints,
         rest=_chosen(rest, joints),
         points=points,
@@ -338,11 +390,12 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     return ", ".join(near), robot.parents[links[near[0]]] if near else ""
 
 
-def _arm(robot: Robot, hand: str) -> Names:
+def _arm(robot: Robot, hand: str, *, may_be_rigid: bool) -> Names:
     """Return the active joints between the root of a robot and the link of a hand."""
     problem = f"the hand {hand!r} does not hang from the base {robot.root!r}"
     if hand in robot.frames:
-        if arm := tuple(compress(robot.joint_names, robot.carries(robot.frames[hand]))):
+        arm = tuple(compress(robot.joint_names, robot.carries(robot.frames[hand])))
+        if arm or may_be_rigid:
             return arm
         problem = f"no joint moves between {robot.root!r} and the hand {hand!r}"
     raise robot.error(problem, robot.root)

@@ -1,8 +1,11 @@
 """How the fingers of a hand flex together: open and closed posture, and fingertip motion.
 
 Each finger by itself is analysed by `handmap_qp.hands.fingers`. Here, fingers that curl equally far
-both ways follow the others, fingers without curling joints (jaws) flex towards the other tips, and
-base joints flex if they move the tip in the same direction.
+both ways follow the others, and base joints flex if they move the tip in the same direction.
+
+A finger with a single flexing joint has the same length everywhere, so it shows no curling. It is
+straight at zero if zero is one end of its range and other fingers are parallel to it there and flex
+alike. Otherwise it is a jaw, which flexes towards the other tips.
 """
 
 from collections.abc import Sequence
@@ -26,6 +29,14 @@ _STRETCHED = 0.985
 _PHALANX = 0.2
 # A thumb is this share of the fingers' reach in front of the palm.
 _LEAST_HEIGHT = 0.05
+# Zero is an end of a range if at most this share of it is beyond.
+_BEYOND = 0.15
+# Fingers with one flexing joint that are alike, and so many that no gripper has them.
+_ALIKE = 2
+_MANY = 3
+# Confidence in their flexion from zero, and in that of a finger beside them.
+_UNFOLDED = 0.95
+_BESIDE = 0.7
 # A direction that is not known.
 _UNKNOWN = np.zeros(3)
 
@@ -38,6 +49,7 @@ class HandFlexion:
         fingers: Fingers of it.
         palmar: Direction out of the palm in the palm link's frame, zero if unknown: the way of
             fingers that curl equally far both ways, shape (3,).
+        has_thumb: Whether a finger is named as a thumb: the others are then no jaws.
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
@@ -64,6 +76,8 @@ class HandFlexion:
         robot: Hand,
         fingers: Sequence[Finger],
         palmar: Array = _UNKNOWN,
+        *,
+        has_thumb: bool = False,
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -79,13 +93,14 @@ class HandFlexion:
         self._curls = np.zeros_like(straight)
         self.axes = np.zeros_like(self.bases)
         senses = np.zeros(len(fingers))
+        unfolded = self._unfolded(has_thumb)
         for i, group in enumerate(finger.flexion for finger in fingers):
-            if group and group.curls:
+            if group and (group.curls or unfolded[i]):
                 self._curls[i] = group.signs
                 self.axes[i] = group.axis
                 self.bases[i] = group.knuckle
                 straight[i] = group.straight
-                senses[i] = group.certainty * group.sense
+                senses[i] = group.sense * (unfolded[i] or group.certainty)
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
@@ -115,6 +130,51 @@ class HandFlexion:
     def tips(self, q: Array) -> Array:
         """Return the fingertips in postures of shape (..., n) [m], shape (..., F, 3)."""
         return self._view.points(q, self._tips)
+
+    def _unfolded(self, has_thumb: bool) -> Array:
+        """Return the confidence in fingers with one flexing joint that zero is straight, (F,).
+
+        It is 0 for jaws: fingers that no other one is parallel to at zero, or that go apart.
+        """
+        count = len(self._fingers)
+        view = self._view
+        zero = view.hand.zero
+        lower, upper = view.hand.limits
+        beyond = np.minimum(np.abs(lower), np.abs(upper)) / (upper - lower)
+        is_end = (lower * upper >= 0.0) | (beyond < _BEYOND)
+        lines = np.zeros((count, 3))
+        ways = np.zeros((count, 3))
+        tips = view.points(zero, self._tips)
+        for i, group in enumerate(finger.flexion for finger in self._fingers):
+            if group is None or group.curls or not group.sense:
+                continue
+            (joints,) = np.nonzero(group.signs)
+            if len(joints) == 1 and is_end[joints].all():
+                lines[i] = tips[i] - group.knuckle
+                ways[i] = group.sense * np.cross(group.axis, lines[i])
+        lines = unit(lines)
+        ways = unit(ways)
+        is_alike = (lines @ lines.T > PARALLEL) & (ways @ ways.T > PARALLEL)
+        most = is_alike.sum(axis=1).argmax()
+        group = is_alike[most]
+        size = int(group.sum())
+        if has_thumb and count <= _ALIKE:
+            return np.where(ways.any(axis=1), _BESIDE, 0.0)
+        if (
+            size < _ALIKE
+            or count <= _ALIKE
+            or (size < _MANY and self._parts(group, ways))
+        ):
+            return np.zeros(count)
+        beside = _BESIDE * ways.any(axis=1)
+        return np.where(group, _UNFOLDED, beside)
+
+    def _parts(self, group: Array, ways: Array) -> bool:
+        """Return whether some fingers and the others go apart from zero, as jaws that open."""
+        way = unit(ways[group].sum(axis=0))
+        apart = self.roots[group].mean(axis=0) - self.roots[~group].mean(axis=0)
+        opposed = ways[~group] @ way < -0.5
+        return bool(opposed.any() and apart @ way > 0.0)
 
     def _ways(self) -> Array:
         """Return the directions in which the curling joints move the tips, shape (F, 3)."""

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
 from handmap_qp.hands import Finger, ends_of, origin_of
+from .limbs import is_limb, names_hand
 from .robot import Robot
 
 LONGEST_FINGER = 0.3
@@ -38,8 +39,6 @@ _PIVOT_SHARE = 0.4
 _OPEN = 0.02
 _CLOSED = 0.015
 _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
-# Joints of a neck, and of what it carries.
-_HEAD = re.compile("head|neck|eye|camera|lidar|velodyne", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
 
@@ -133,8 +132,16 @@ def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
 
 
 def find_palms(robot: Robot) -> list[str]:
-    """Return the links of all palms of a robot from which at least two fingers branch."""
-    return [*map(_palm_link, _hands(robot))]
+    """Return the links of all palms of a robot from which at least two fingers branch.
+
+    Two hands may be on one body, if they start at links of their own.
+    """
+    links = []
+    for fingers in _hands(robot):
+        groups = [_palm_link(group) for group in _groups(robot, fingers)]
+        is_apart = len({*groups}) == len(groups) > 1
+        links += groups if is_apart else [_palm_link(fingers)]
+    return links
 
 
 def _hands(robot: Robot) -> list[list[RobotFinger]]:
@@ -181,7 +188,21 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     starts = {finger.joints[0] for finger in chain.from_iterable(found.values())}
     palms = [body for body in found if starts.isdisjoint(supports[body])]
     bases = {*chain.from_iterable([*supports[palm]][:-1] for palm in palms)}
-    return [found[palm] for palm in palms if palm not in bases]
+    hands = [found[palm] for palm in palms if palm not in bases]
+    # Where some are named as hands, others are feet, bases or something else.
+    named = [fingers for fingers in hands if _is_named(fingers)]
+    return named or hands
+
+
+def _is_named(fingers: list[RobotFinger]) -> bool:
+    """Return whether the fingers or the links of their palm have a hand's names."""
+    palm = fingers[0].robot.links[
+        fingers[0].robot.frames[_palm_link(fingers)].parentJoint
+    ]
+    names = (
+        name for finger in fingers for name in (*finger.joint_names, *finger.links)
+    )
+    return names_hand(chain(palm, names))
 
 
 def _is_base(robot: Robot, body: int) -> bool:
@@ -229,21 +250,31 @@ def _one_finger(robot: Robot) -> _Hand:
     return [finger], [note], "the link from which the only chain starts", 0.5
 
 
-def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
-    """Reject two hands on one base: two groups of fingers, far apart."""
-    links = [finger.links[0] for finger in fingers]
+def _groups(robot: Robot, fingers: list[RobotFinger]) -> list[list[RobotFinger]]:
+    """Return the groups of at least two fingers that start near each other."""
+    links = [finger.links[0] for finger in fingers if finger.joints]
+    if len(links) < len(fingers):
+        return [fingers]
     roots = robot.link_poses(links, robot.rest)[:, :3, 3]
     near = lengths(roots[:, None] - roots) < _APART
-    group = np.linalg.matrix_power(near, len(fingers))[0]
-    if min(group.sum(), (~group).sum()) < 2:
+    joined = np.linalg.matrix_power(near, len(fingers))
+    groups = np.unique(joined, axis=0)[::-1]
+    return [[*compress(fingers, group)] for group in groups if group.sum() > 1]
+
+
+def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
+    """Reject two hands on one base: two groups of fingers, far apart."""
+    groups = _groups(robot, fingers)
+    if len(groups) < 2:
         return
-    links = [_palm_link([*compress(fingers, chosen)]) for chosen in (group, ~group)]
+    links = [_palm_link(group) for group in groups]
     advice = "choose one with --root"
     if len({*links}) == 1:
         advice = "keep the links of one hand in the URDF, because both start at the same link"
+    one, other = map(len, groups[:2])
     raise robot.error(
-        f"there are two hands on one base: {group.sum()} fingers from {links[0]!r} and "
-        f"{(~group).sum()} from {links[1]!r}; {advice}",
+        f"there are two hands on one base: {one} fingers from {links[0]!r} and "
+        f"{other} from {links[1]!r}; {advice}",
         links,
     )
 
@@ -257,9 +288,7 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     branches = []
     for start in starts:
         branch = [RobotFinger(robot, leaf, body) for leaf in robot.leaves(start)]
-        first, *more = branch[0].joint_names
-        is_wheel = first in robot.endless and not more
-        if is_wheel or _HEAD.search(first):
+        if any(is_limb(one.joint_names, robot.endless) for one in branch):
             continue
         if max(one.length for one in branch) < LONGEST_FINGER:
             branches.append(branch)

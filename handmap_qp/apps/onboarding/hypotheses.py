@@ -1,0 +1,130 @@
+"""What a hand may be, and which evidence speaks for it: one table, one score.
+
+A *hypothesis* says which finger is the thumb, and whether the palm is turned over against what the
+joints' ranges say. That settles the side, the direction of flexion and the order of the fingers'
+names. Each kind of evidence says from -1 (contradicts it) to 1 (agrees) what it thinks of it. The
+hypothesis with the largest weighted sum is taken, and it is as certain as it is ahead of the next
+one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from handmap_qp.hands import Side
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One kind of evidence.
+
+    Attributes:
+        name: Its name, as in the values of a hypothesis.
+        weight: What it counts.
+        agrees: What it says of a hypothesis that it agrees with.
+        differs: What it says of one that it contradicts.
+    """
+
+    name: str
+    weight: float
+    agrees: str
+    differs: str
+
+
+TERMS = (
+    Term("difference", 4.0, "this finger differs most", "another finger differs more"),
+    Term("thumb name", 4.0, "the names say thumb", "the names call another finger a thumb"),
+    Term("flexion", 2.0, "the joints' ranges flex to the palm", "the joints flex to the back"),
+    Term("side name", 1.0, "the names have this side", "the names have the other side"),
+    Term("other hand", 1.5, "the other hand has the other side", "the other hand has this side"),
+    Term("finger names", 0.8, "the fingers' names begin at the thumb",
+         "the fingers' names begin at the other side"),
+    Term("thumb ahead", 0.5, "the thumb closes before the palm",
+         "the thumb closes behind the back"),
+)  # fmt: skip
+"""All kinds of evidence.
+
+The ranges of joints that flex to one side only outweigh a name of the wrong side, as of a copied
+file; a name outweighs ranges that show little. Where names say which finger is the thumb, no
+difference outweighs them.
+"""
+SMALL_MARGIN = 0.4
+"""The next hypothesis is named if it is less than this behind."""
+_OVERRULED = 0.5
+
+
+def score(values: Mapping[str, float], *, without: str = "") -> float:
+    """Return the weighted sum of evidence, perhaps without one kind of it."""
+    return sum(
+        term.weight * values.get(term.name, 0.0)
+        for term in TERMS
+        if term.name != without
+    )
+
+
+class Hypothesis(NamedTuple):
+    """What a hand may be.
+
+    Attributes:
+        thumb: Index of the finger that is the thumb; None of a hand with one finger.
+        link: The thumb's last link.
+        side: The hand's side.
+        is_turned: Whether the palm is turned over against the flexion that was found.
+        values: What each kind of evidence says, from -1 to 1, by its name; 0 is left out.
+    """
+
+    thumb: int | None
+    link: str
+    side: Side
+    is_turned: bool
+    values: Mapping[str, float]
+
+    @property
+    def answer(self) -> tuple[int | None, Side, bool]:
+        """What it says: the thumb, the side, and whether the palm is turned over."""
+        return self.thumb, self.side, self.is_turned
+
+    @property
+    def score(self) -> float:
+        """The weighted sum of all evidence."""
+        return score(self.values)
+
+    def overrules(self, other: "Hypothesis") -> bool:
+        """Return whether it says something else with clearly more evidence."""
+        return bool(self.differences(other)) and self.score > other.score + _OVERRULED
+
+    def differences(self, other: "Hypothesis") -> list[str]:
+        """Return in which answers two hypotheses differ."""
+        found = {
+            "thumb": self.thumb != other.thumb,
+            "side": self.side != other.side,
+            "dorsal": self.is_turned != other.is_turned,
+        }
+        return [what for what, differs in found.items() if differs]
+
+    def doubt(self, following: "Hypothesis") -> str:
+        """Return a note about the next hypothesis, and how to choose it, if it is near."""
+        if self.score - following.score >= SMALL_MARGIN:
+            return ""
+        options, words = [], []
+        if self.thumb != following.thumb:
+            words.append(f"the thumb may be {following.link}")
+            options.append(f"--thumb {following.link}")
+        if self.side != following.side:
+            words.append(f"it may be a {following.side} hand")
+            options.append(f"--side {following.side}")
+        return (
+            f"{' and '.join(words)}: choose that with {' '.join(options)} (evidence "
+            f"{following.score:.2f}, of what was taken {self.score:.2f})"
+        )
+
+    def told_from(self, other: "Hypothesis") -> str:
+        """Return what speaks most for this one and against another one, in words."""
+        terms = {
+            term: term.weight
+            * (self.values.get(term.name, 0.0) - other.values.get(term.name, 0.0))
+            for term in TERMS
+        }
+        best = max(terms, key=lambda term: terms[term])
+        agrees = self.values.get(best.name, 0.0) > 0.0
+        return best.agrees if agrees else f"not so: {best.differs}"

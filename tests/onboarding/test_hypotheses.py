@@ -1,0 +1,124 @@
+"""What a hand may be: every kind of evidence decides on some hand, and near answers are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from box_hands import NAMES, BoxHand
+
+from handmap_qp.apps.onboarding.anatomy import Anatomy, find_anatomy
+from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.apps.onboarding.hypotheses import TERMS, Hypothesis, score
+from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.apps.onboarding.two_hands import PairedSide
+from handmap_qp.hands import Side
+
+PLAIN = tuple("abcde")
+EVEN = (-0.8, 0.8)
+# Beside the fingers and like them, and where a thumb is.
+ROW = (0.09, 0.05, 0.0)
+HAND = BoxHand(turn=np.eye(3), names=PLAIN)
+
+
+def _anatomy(hand: BoxHand, paired: PairedSide | None = None) -> Anatomy:
+    return find_anatomy(Robot(Path("x"), hand.urdf()), paired=paired)
+
+
+def _leader(anatomy: Anatomy, without: str = "") -> tuple[Hypothesis, float]:
+    """Return the hypothesis with most evidence, and how far it is ahead, without one kind."""
+    ranked = sorted(anatomy.ranking, key=lambda one: score(one.values, without=without))
+    *_, second, first = (score(one.values, without=without) for one in ranked)
+    return ranked[-1], first - second
+
+
+# A hand that needs each kind of evidence: its thumb is the first finger.
+LEFT = PairedSide("left", "by the other hand")
+NEEDED: dict[str, tuple[BoxHand, Side, PairedSide | None]] = {
+    "difference": (HAND, "right", None),
+    "thumb name": (replace(HAND, thumb=ROW, names=("thumb", *PLAIN[1:])), "right", None),
+    "flexion": (replace(HAND, names=("left_a", *PLAIN[1:])), "right", None),
+    "side name": (replace(HAND, span=EVEN, palm="left_palm"), "left", None),
+    "other hand": (replace(HAND, span=EVEN), "left", LEFT),
+    "finger names": (
+        replace(HAND, thumb=ROW, names=("x", "index", "middle", "ring", "y")), "right", None
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_hand_needs_each_kind_of_evidence(name: str) -> None:
+    hand, side, paired = NEEDED[name]
+    anatomy = _anatomy(hand, paired)
+    best, margin = _leader(anatomy)
+    assert (best.thumb, best.side) == (0, side), best
+    assert margin > 0.05
+    other, less = _leader(anatomy, without=name)
+    assert (other.thumb, other.side) != (0, side) or less < margin - 0.05
+    # It is what is found.
+    assert anatomy.side == side
+    assert anatomy.fingers[0].joint_names[0].startswith(hand.names[0])
+
+
+def test_the_values_of_all_evidence_are_bounded_and_known() -> None:
+    names = {term.name for term in TERMS}
+    for hand, _, paired in NEEDED.values():
+        for one in _anatomy(hand, paired).ranking:
+            assert {*one.values} <= names
+            assert all(-1.0 <= value <= 1.0 for value in one.values.values())
+
+
+def test_a_near_answer_is_named_with_the_option_that_chooses_it() -> None:
+    """Five alike fingers in a row: a thumb is at either end, and the text of `init` says so."""
+    hand = replace(HAND, thumb=ROW)
+    found = detect(Path("x"), hand.urdf())
+    (note,) = (note for note in found.notes if "choose that" in note)
+    option = note.partition("--thumb ")[2].split()[0]
+    other = detect(Path("x"), hand.urdf(), thumb=option)
+    assert other.chains["thumb"] != found.chains["thumb"]
+    assert other.spec.side != found.spec.side
+    # What is given is not asked for again, and a clear hand asks for nothing.
+    assert not any("choose that" in note for note in other.notes)
+    clear = detect(Path("x"), replace(HAND, names=NAMES).urdf())
+    assert not any("choose that" in note for note in clear.notes)
+
+
+def test_a_thumb_before_the_palm_outweighs_a_wrong_side_in_the_names() -> None:
+    """The ranges show flexion only a little: alone they would yield to the palm's name."""
+    anatomy = _anatomy(replace(HAND, span=(-0.4, 0.8), palm="left_palm"))
+    best, _ = _leader(anatomy)
+    assert (best.thumb, best.side, best.is_turned) == (0, "right", False)
+    less, _ = _leader(anatomy, without="thumb ahead")
+    assert less.side == "left"
+    # Both are near, so the one that is not taken is named.
+    assert any("--side" in note for note in anatomy.notes)
+
+
+def test_each_kind_of_evidence_has_a_hand() -> None:
+    assert {term.name for term in TERMS} == {*NEEDED, "thumb ahead"}
+
+
+def test_names_of_the_others_overrule_the_order_of_the_file() -> None:
+    """Alike fingers in a row: the thumb is beside the index finger, and the last in the file."""
+    names = ("y", "ring", "middle", "index", "x")
+    anatomy = _anatomy(replace(HAND, thumb=ROW, names=names))
+    assert anatomy.fingers[0].joint_names[0].startswith("x")
+    assert anatomy.side == "left"
+    (clue,) = (clue for clue in anatomy.clues if clue.what == "thumb")
+    assert clue.how.endswith("the fingers' names begin at the thumb")
+    assert clue.certainty != "certain"
+
+
+def test_a_finger_that_is_named_otherwise_is_no_thumb() -> None:
+    names = ("little", "ring", "middle", "index", "x")
+    anatomy = _anatomy(replace(HAND, thumb=ROW, names=names))
+    assert anatomy.fingers[0].joint_names[0].startswith("x")
+    assert [finger.name for finger in anatomy.fingers] == [*NAMES]
+
+
+def test_the_ranking_begins_with_most_evidence() -> None:
+    scores = [one.score for one in _anatomy(HAND).ranking]
+    assert scores == sorted(scores, reverse=True)
+    assert len(scores) > len(PLAIN)

@@ -1,0 +1,90 @@
+"""Hands of boxes with known palm and side: plain fingers along an axis, as URDFs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+NAMES = ("thumb", "index", "middle", "ring", "little")
+# Distal, radial of a right hand, and dorsal.
+_AXES = np.eye(3)
+
+
+def turns() -> Iterator[np.ndarray]:
+    """Yield all 24 rotations of the axes to axes, shape (3, 3)."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = _AXES[list(order)] * signs
+            if np.linalg.det(turn) > 0.0:
+                yield turn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoxHand:
+    """A hand whose fingers are rows of boxes along its x axis; z is dorsal.
+
+    Attributes:
+        names: Name of each finger, which its links and joints begin with; the thumb is the first.
+        palm: Name of the palm's link.
+        joints: Joints of each finger.
+        span: Range of each joint in flexion [rad].
+        sense: Sense of the joints' axes: -1 for joints that flex towards negative positions.
+        turn: Rotation of the hand in its palm's frame, shape (3, 3).
+        is_left: Whether it is a left hand.
+        thumb: Place of the thumb's joint [m].
+    """
+
+    names: tuple[str, ...] = NAMES
+    palm: str = "palm"
+    joints: int = 2
+    span: tuple[float, float] = (0.0, 1.2)
+    sense: float = 1.0
+    turn: np.ndarray
+    is_left: bool = False
+    thumb: tuple[float, float, float] = (0.02, 0.05, -0.01)
+
+    def parts(self) -> str:
+        """Return its links and joints, without the robot around them."""
+        side = -1.0 if self.is_left else 1.0
+        row = [(0.09, 0.05 - 0.02 * k, 0.0) for k in range(1, len(self.names))]
+        places = (self.thumb, *row)
+        fingers = (
+            self._finger(name, np.array(place) * [1.0, side, 1.0])
+            for name, place in zip(self.names, places, strict=True)
+        )
+        shape = self._box((0.045, 0.0, 0.0), (0.09, 0.08, 0.02))
+        return f'<link name="{self.palm}">{shape}</link>' + "".join(fingers)
+
+    def urdf(self, name: str = "x") -> str:
+        """Return a URDF of this hand alone."""
+        return f'<robot name="{name}">{self.parts()}</robot>'
+
+    def _finger(self, name: str, place: np.ndarray) -> str:
+        size = 0.08 / self.joints
+        text, parent = "", self.palm
+        limits = sorted(self.sense * end for end in self.span)
+        for k in range(self.joints):
+            link = f"{name}_{k}"
+            shape = self._box((0.5 * size, 0.0, 0.0), (size, 0.014, 0.014))
+            text += (
+                f'<link name="{link}">{shape}</link><joint name="{link}_joint" type="revolute">'
+                f'<parent link="{parent}"/><child link="{link}"/>'
+                f'<origin xyz="{self._turned(place)}"/>'
+                f'<axis xyz="{self._turned((0.0, self.sense, 0.0))}"/>'
+                f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="2"/></joint>'
+            )
+            parent, place = link, np.array([size, 0.0, 0.0])
+        return text
+
+    def _turned(self, vector: np.ndarray | tuple[float, ...]) -> str:
+        return " ".join(f"{number:g}" for number in self.turn @ np.array(vector) + 0.0)
+
+    def _box(self, centre: tuple[float, ...], size: tuple[float, ...]) -> str:
+        sides = " ".join(f"{side:g}" for side in np.abs(self.turn) @ np.array(size))
+        return (
+            f'<visual><origin xyz="{self._turned(centre)}"/><geometry><box size="{sides}"/>'
+            "</geometry></visual>"
+        )
