@@ -115,6 +115,7 @@ from .spec import (
 from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
+    FASTEST_SPEEDS,
     MOVABLE,
     USUAL_SPEEDS,
     check_tree,
@@ -134,6 +135,7 @@ __all__ = [
     "BASE",
     "CONTACT_GAP",
     "DATA_SHEETS",
+    "FASTEST_SPEEDS",
     "FINGERS",
     "HUMAN_HANDS",
     "HUMAN_JOINTS",
