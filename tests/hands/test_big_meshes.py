@@ -92,11 +92,10 @@ def test_shape_and_hull_stay(big: Path) -> None:
     mesh = read_big_mesh(str(big))
     assert mesh is not None
     points = corners_of(COUNT)
-    # No support is lost by more than a cell, and most by far less.
+    # The farthest corner of a cell loses 0.05 of a cell here at most, the nearest 0.15.
     lost = support(points) - support(mesh.extremes)
     assert lost.min() > -1e-12
-    assert lost.max() < CELL
-    assert np.median(lost) < 0.05 * CELL
+    assert lost.max() < 0.1 * CELL
     # Every corner has a vertex in its cell.
     keys = {*map(tuple, np.floor((points - points.min(axis=0)) / CELL).astype(int))}
     assert 0.5 * len(keys) < len(mesh.vertices) < 2.0 * len(keys)
