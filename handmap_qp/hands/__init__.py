@@ -21,6 +21,13 @@ from handmap_core.hands import (
     Values,
     moved_by,
 )
+from .big_meshes import (
+    BIG_FILE,
+    MOST_TRIANGLES,
+    CoarseMesh,
+    coarsen_triangles,
+    read_big_mesh,
+)
 from .clipping import clip_step
 from .collision_shapes import (
     add_stand_ins,
@@ -115,6 +122,7 @@ from .spec import (
 from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
+    FASTEST_SPEEDS,
     MOVABLE,
     USUAL_SPEEDS,
     check_tree,
@@ -132,14 +140,17 @@ from .urdf import (
 
 __all__ = [
     "BASE",
+    "BIG_FILE",
     "CONTACT_GAP",
     "DATA_SHEETS",
+    "FASTEST_SPEEDS",
     "FINGERS",
     "HUMAN_HANDS",
     "HUMAN_JOINTS",
     "LARGEST_ROLL",
     "LINK_MARGIN",
     "LONGEST_STOP",
+    "MOST_TRIANGLES",
     "MOVABLE",
     "OTHER_SIDE",
     "PARALLEL",
@@ -152,6 +163,7 @@ __all__ = [
     "USUAL_SPEEDS",
     "ArmSpec",
     "AttachedPoints",
+    "CoarseMesh",
     "CollisionSpec",
     "Configuration",
     "ContactYield",
@@ -189,6 +201,7 @@ __all__ = [
     "check_tree",
     "child_of",
     "clip_step",
+    "coarsen_triangles",
     "common_pairs",
     "convex_hull",
     "core_tree",
@@ -230,6 +243,7 @@ __all__ = [
     "place_of",
     "prism_around",
     "random_postures",
+    "read_big_mesh",
     "read_collision_shapes",
     "read_document",
     "read_hand_spec",

@@ -13,6 +13,7 @@ import pinocchio as pin
 from handmap_core.errors import reason_of
 from handmap_core.models import BodyModel, ShapeModel
 from handmap_core.se3 import Array, affine
+from .big_meshes import extremes_of, is_many, outermost_corners, stl_triangles
 from .hand import Hand
 from .urdf import (
     edges,
@@ -157,34 +158,25 @@ def _hull_of(mesh: Element) -> coal.Convex | None:
 @lru_cache(maxsize=256)
 def _hull_in(file: str, scale: tuple[float, ...], *_: int) -> coal.Convex | None:
     """Read a file as its convex hull, which has an inside; None if it is flat or no link's size."""
-    corners = _stl_vertices(file)
-    if corners is None:
-        corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
-    corners *= scale
+    corners = _vertices(file) * scale
     size = np.ptp(corners, axis=0).max()
     return convex_hull(corners) if _SIZES[0] < size < _SIZES[1] else None
 
 
-_HEADER = 84  # bytes
-_TRIANGLE = np.dtype(
-    [("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")]
-)
+def _vertices(file: str) -> Array:
+    """Return the corners of a file's meshes, of a big one the outermost, shape (n, 3) [m].
 
-
-def _stl_vertices(file: str) -> Array | None:
-    """Return the corners of a binary STL file's triangles; None of any other file.
-
-    Most meshes are such files. coal takes up to 80 ms for one, and meanwhile no other thread runs.
-    Corners that triangles share are repeated, shape (3 n, 3) [m].
+    Most meshes are binary STL files, which numpy reads: coal takes up to 80 ms for one, and
+    meanwhile no other thread runs. Corners that triangles share are repeated there.
     """
-    if not file.lower().endswith(".stl"):
-        return None
-    content = Path(file).read_bytes()
-    count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
-    if count == 0 or len(content) != _HEADER + count * _TRIANGLE.itemsize:
-        return None
-    triangles = np.ndarray(count, _TRIANGLE, content, _HEADER)
-    return triangles["corners"].reshape(-1, 3).astype(float)
+    outermost = outermost_corners(file)
+    if outermost is not None:
+        return outermost
+    triangles = stl_triangles(file)
+    if triangles is not None:
+        return triangles["corners"].reshape(-1, 3).astype(float)
+    corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
+    return extremes_of(corners) if is_many(len(corners)) else corners
 
 
 # Sides of a prism in the place of a cylinder, and its least radius and half length [m].

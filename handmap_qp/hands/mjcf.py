@@ -26,6 +26,7 @@ from handmap_core.errors import HandError, reason_of
 from handmap_core.hands import Names
 from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
+from .mjcf_speeds import top_speeds
 from .sources import find_mesh, root_tag
 from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
@@ -230,6 +231,9 @@ class ConvertedMjcf:
         model: The compiled model.
         links: Name of the link of each body, by the body's index.
         joints: Name of each hinge and slide joint, by its index.
+        speeds: Top speed of hinges and slides under their actuators (`top_speeds`) by name [rad/s
+            or m/s], which the URDF does not have. Joints without one get the median of their type;
+            empty if no actuator of that type tells one.
 
     Raises:
         HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
@@ -260,7 +264,8 @@ class ConvertedMjcf:
         mujoco.mj_kinematics(model, self._data)
         self._rules, more = read_couplings(model, self.joints)
         speeds = "{revolute:g} rad/s and {prismatic:g} m/s".format(**USUAL_SPEEDS)
-        self.notes += (f"MuJoCo has no speed limits: {speeds} are written", *more)
+        self.notes += (f"MuJoCo has no speed limits: the URDF has {speeds}", *more)
+        self.speeds = self._speeds()
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
         self.text = self._described(name)
@@ -290,6 +295,19 @@ class ConvertedMjcf:
             found = f"{name}_{number}"
         self._taken.add((kind, found.lower()))
         return found
+
+    def _speeds(self) -> dict[str, float]:
+        """Return the top speeds of joints by name; see `speeds`."""
+        known = top_speeds(self.model)
+        kinds = self.model.jnt_type
+        usual = dict[int, list[float]]()
+        for joint, speed in known.items():
+            usual.setdefault(int(kinds[joint]), []).append(speed)
+        return {
+            name: known.get(joint, float(np.median(usual[int(kinds[joint])])))
+            for joint, name in self.joints.items()
+            if int(kinds[joint]) in usual
+        }
 
     def _kept(self) -> list[int]:
         """Return the world and the bodies of all trees with a hinge, a slide or a ball."""

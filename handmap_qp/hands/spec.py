@@ -220,7 +220,7 @@ class _HandFields(Document, frozen=True):
     root: str | None = None
     locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
-    speeds: Literal["assumed", "maker", "urdf"] | None = None
+    speeds: Literal["assumed", "estimated", "given", "maker", "urdf"] | None = None
     mimic: dict[str, MimicSpec | None] = {}
     shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
@@ -258,7 +258,9 @@ class HandSpec(_HandFields, frozen=True):
         locked: Positions of movable joints to hold still [rad or m].
         limits: Limits by joint, in place of the URDF's.
         speeds: Where the joints' speed limits are from, for people and `handmap hands check`: the
-            `urdf`, the `maker` (a data sheet, a measurement) or `assumed`. Not known if omitted.
+            `urdf`, the `maker` (a data sheet, a measurement), `given` by the owner (`handmap hands
+            init --speed`), `estimated` from the actuators of an MJCF file, or `assumed`: those in
+            `limits`, or all if it gives none. Not known if omitted.
         mimic: Rules by follower, in place of the URDF's; None makes a joint independent that mimics
             another in the URDF.
         shapes: Displacement in its link of each shape that the URDF or MJCF has in a wrong place,
@@ -278,6 +280,18 @@ class HandSpec(_HandFields, frozen=True):
             one.
         file: The file that the description was read from, for messages; None if built in code.
     """
+
+    @property
+    def assumed_speeds(self) -> Names:
+        """Joints whose speed limits are assumed: see `speeds`."""
+        if self.speeds != "assumed":
+            return ()
+        written = (
+            joint
+            for joint in self.joints
+            if self.limits.get(joint, LimitSpec()).velocity is not None
+        )
+        return tuple(written) or self.joints
 
     @property
     def all_joints(self) -> Names:

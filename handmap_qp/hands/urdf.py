@@ -24,6 +24,12 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
 USUAL_SPEEDS = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 """Speeds of joints whose file gives none, by their type [rad/s or m/s]."""
+FASTEST_SPEEDS = {"revolute": 20.0, "prismatic": 1.0}
+"""Speeds that hardly any motor of a robot exceeds, by the type of joint [rad/s or m/s].
+
+The fastest joints that makers of hands name do 14.4 rad/s (XHand1's URDF) and 0.25 m/s (Robotiq's
+manual of the 2F-140).
+"""
 _FREE = ("planar", "floating")
 _KINDS = (*MOVABLE, "fixed", *_FREE)
 _DEFAULT_AXIS = "1 0 0"

@@ -123,6 +123,42 @@ def test_a_hand_slower_than_this_person_is_one_line_with_both_times(
     assert compare_closing(HUMAN, robot, [still]) is None
 
 
+def test_samples_that_an_assumed_speed_held_are_counted() -> None:
+    """Of two joints that are held, only the one whose speed is assumed counts."""
+    trajectory = mapped(1000.0)
+    count, joints = trajectory.q.shape
+    held = np.zeros((count, joints), dtype=bool)
+    held[: count // 2, 0] = True
+    held[:, 1] = True
+    held &= trajectory.valid[:, None]
+    found = {}
+    for words in (None, "urdf", "assumed"):
+        spec = load_hand("three_finger").spec
+        limits = {spec.joints[0]: LimitSpec(velocity=5.0)}
+        spec = msgspec.structs.replace(spec, limits=limits, speeds=words)
+        known = replace(trajectory, robot=load_hand(spec), at_speed_limit=held)
+        found[words] = summarise(known)
+    share = held[trajectory.valid, 0].mean()
+    assert found["assumed"]["assumed_speed_share"] == pytest.approx(share)
+    assert found["assumed"]["speed_limited_share"] == 1.0
+    (line,) = notes(found["assumed"])
+    assert f"assumed ones in {100.0 * share:.0f} %" in line
+    assert "handmap hands init --speed" in line
+    row = table_rows(found["assumed"])["samples held by a speed limit"]
+    assert row == f"100.0 %, by an assumed one {100.0 * share:.1f} %"
+    for words in (None, "urdf"):
+        assert found[words]["assumed_speed_share"] is None
+        (line,) = notes(found[words])
+        assert (
+            "assumed"
+            not in line + table_rows(found[words])["samples held by a speed limit"]
+        )
+    # A smaller share than of other limits is worth a line: the robot may be faster.
+    rare = {"speed_limited_share": 0.1, "closing": None}
+    assert notes(found["assumed"] | rare | {"assumed_speed_share": 0.1}) != []
+    assert notes(found["assumed"] | rare | {"assumed_speed_share": 0.0}) == []
+
+
 def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     """A wrist that stops 50 mm short of a target 100 mm away: half the scale."""
     trajectory = mapped(1.0)

@@ -187,7 +187,7 @@ def test_speeds_that_nobody_knows_are_said_and_may_be_given(
     urdf = tmp_path / "leap.urdf"
     urdf.write_text(re.sub('velocity="[^"]*"', 'velocity="0.5"', made.urdf))
     said = {}
-    for name, speed in (("urdf", 0.5), ("assumed", 4.0), ("maker", 8.48)):
+    for name, speed in (("urdf", 0.5), ("given", 4.0), ("maker", 8.48)):
         file = tmp_path / f"{name}.yaml"
         words = [] if name == "urdf" else ["--speed", str(speed)]
         assert cli.main(["hands", "init", str(urdf), "--out", str(file), *words]) == 0
@@ -199,7 +199,7 @@ def test_speeds_that_nobody_knows_are_said_and_may_be_given(
     # The maker's figure is proposed by the name of the file, by init too.
     assert "8.48 by the LEAP hand's URDF" in said["urdf"][0].change
     assert "8.48 by the LEAP" in capsys.readouterr().out.replace("\n", " ")
-    assert said["assumed"] == said["maker"] == []
+    assert said["given"] == said["maker"] == []
     words = [
         "hands",
         "init",

@@ -462,7 +462,7 @@ def test_init_takes_an_mjcf_file(
     assert (
         f"wrote {out.parent / 'scene.urdf'}, with the kinematics of {model}" in printed
     )
-    assert "MuJoCo has no speed limits: 5 rad/s and 0.1 m/s are written" in printed
+    assert "MuJoCo has no speed limits: the URDF has 5 rad/s and 0.1 m/s" in printed
     hand = load_hand(out)
     assert hand.spec.urdf == "scene.urdf"
     assert set(hand.joint_names) == {

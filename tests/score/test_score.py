@@ -51,6 +51,7 @@ from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError, MissingPackageError
 from handmap_qp.hands import FINGERS, THUMB, Hand, find_fingers, load_hand
 from handmap_qp.human import finger_chains
+from handmap_qp.mapping import FistTime, slow_note
 from handmap_qp.trackers import check_recording
 
 # Whole hands, pictures and a browser: not for the fast suite.
@@ -379,6 +380,9 @@ def test_score_is_that_of_the_formula() -> None:
     assert score(latency_ms=np.nan) == pytest.approx(200.0 / 3.0)
 
 
+SLOW = FistTime(1.4, "f1_distal", np.full(8, 1.4), is_assumed=False)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory, few_reached: None) -> Path:
     """Run the command on a small hand, with pictures of a few pixels."""
@@ -395,6 +399,7 @@ def written(tmp_path_factory: pytest.TempPathFactory, few_reached: None) -> Path
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("handmap_score.pages.pose_pictures", small)
+        patch.setattr(cli, "fist_time", lambda *_: SLOW)
         command.run()
     return folder
 
@@ -412,6 +417,9 @@ def test_page_has_gestures_with_source_and_licence(written: Path) -> None:
     assert results["about"]["seeds"] == [3]
     methods = [row["method"] for row in hand["mappings"]]
     assert {*methods} == {"paper", "finger-vectors"}
+    # A hand that is slower than people is known as one.
+    assert results["about"]["speed: three_finger"] == slow_note(SLOW)
+    assert "This hand needs 1.4 s for a fist" in page
     # Peers that did not run say how to.
     assert "handmap-qp[peers]" in results["about"]["peers"]
     assert [row["mapping"] for row in results["overview"]] == methods

@@ -3,17 +3,23 @@
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from handmap_core.errors import require
 from handmap_qp.hands import (
+    BIG_FILE,
+    MOST_TRIANGLES,
+    CoarseMesh,
     Hand,
     add_stand_ins,
+    coarsen_triangles,
     get_numbers,
     is_missing,
     origin_of,
     parse_urdf,
+    read_big_mesh,
 )
 from .raster import Colour
 
@@ -89,13 +95,52 @@ def _meshes(solid: ET.Element, miss: Callable[[str], object]) -> list[Any]:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    found = trimesh.load_scene(name).dump()
+                    found = _read_meshes(name)
             except Exception:
                 miss(Path(name).name)
                 return []
             # Faces of a mirrored mesh are turned over.
             return [each.apply_scale(scale) for each in found if len(each.faces)]
     return []
+
+
+def _read_meshes(file: str) -> list[Any]:
+    """Read the meshes of a file, which the caller may change; of big ones fewer triangles.
+
+    A big mesh has one colour.
+
+    Raises:
+        Exception: Of any type, if it cannot be read.
+    """
+    size = Path(file).stat()
+    if size.st_size > BIG_FILE:
+        meshes = _read_big(file, size.st_mtime_ns, size.st_size)
+        return [mesh.copy() for mesh in meshes]
+    return require("trimesh", "plot").load_scene(file).dump()
+
+
+# A big file is read several times: shown, measured, and compared with what collides.
+@lru_cache(maxsize=64)
+def _read_big(file: str, *_: int) -> list[Any]:
+    if big := read_big_mesh(file):
+        return [_meshed(big)]
+    return [
+        _coarse(mesh) if len(mesh.faces) > MOST_TRIANGLES else mesh
+        for mesh in require("trimesh", "plot").load_scene(file).dump()
+    ]
+
+
+def _coarse(mesh: Any) -> Any:
+    """Return a mesh with fewer triangles, in its main colour."""
+    coarse = _meshed(coarsen_triangles(mesh.vertices, mesh.faces))
+    painted = mesh.visual.material if mesh.visual.kind == "texture" else mesh.visual
+    coarse.visual.face_colors = painted.main_color
+    return coarse
+
+
+def _meshed(mesh: CoarseMesh) -> Any:
+    trimesh = require("trimesh", "plot")
+    return trimesh.Trimesh(mesh.vertices.copy(), mesh.faces.copy(), process=False)
 
 
 def _colour(

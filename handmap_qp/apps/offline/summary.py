@@ -16,6 +16,8 @@ from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
+ASSUMED_SHARE = 0.02
+"""The same of speed limits that are assumed: the robot itself may be faster."""
 # A wrist this far from its target is out of reach [m], in more than this share of the samples.
 _WRIST_OFF, _LATE_SHARE = 0.02, 0.05
 # A waist that is at a limit in more than this share of the samples may make a robot fall.
@@ -32,6 +34,8 @@ def summarise(trajectory: Trajectory) -> Values:
     holds. `consistency_mm_mean` is the mean RMS difference of bones and palm from the person's.
     `speed_limited_share` is the share of the followed samples in which a speed limit held a joint;
     `speed_limited_joints` has the joints held most often, with share and limit [rad/s or m/s].
+    `assumed_speed_share` is the share of the followed samples in which a limit that is assumed
+    (`HandSpec.assumed_speeds`) held a joint; None if no speed is assumed.
     `arm_out_of_reach` has the share of samples, what holds the arm in them (`arm_held_by`), the
     largest error, the extent of the motion and a scale to try (None for a robot with two hands), of
     an arm that does not follow; None if it does. `leaning` has joints that carry another limb too
@@ -47,6 +51,8 @@ def summarise(trajectory: Trajectory) -> Values:
     seen = trajectory.valid
     is_slow = trajectory.at_speed_limit[seen]
     shares = is_slow.mean(axis=0)
+    assumed = [name for hand in robot.hands for name in hand.spec.assumed_speeds]
+    is_assumed = np.isin(robot.joint_names, assumed)
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
@@ -69,6 +75,9 @@ def summarise(trajectory: Trajectory) -> Values:
         "limit_violation_max": trajectory.limit_violation,
         **_by_instants(trajectory),
         "speed_limited_share": is_slow.any(axis=1).mean(),
+        "assumed_speed_share": is_slow[:, is_assumed].any(axis=1).mean()
+        if assumed
+        else None,
         # The joints that speed limits held most often.
         "speed_limited_joints": [
             {
@@ -179,17 +188,19 @@ def _speed_note(summary: Values) -> str:
     share = summary["speed_limited_share"]
     closing = summary.get("closing")
     is_slower = closing is not None and closing["robot_s"] > closing["person_s"]
-    if not is_slower and share <= SLOW_SHARE:
+    assumed = summary["assumed_speed_share"] or 0.0
+    if not is_slower and share <= SLOW_SHARE and assumed <= ASSUMED_SHARE:
         return ""
     joints = ", ".join(
         f"{row['joint']} ({row['limit']:.3g} per s)"
         for row in summary["speed_limited_joints"]
     )
-    line = (
-        f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often "
-        f"{joints}: move more slowly, or give the robot's true limits in `limits` of its "
-        "hand.yaml"
-    )
+    held = f"speed limits held a joint in {100.0 * share:.0f} % of the samples"
+    place = "in `limits` of its hand.yaml"
+    if assumed > 0.0:
+        held += f", assumed ones in {100.0 * assumed:.0f} %"
+        place = f"by `handmap hands init --speed` or {place}"
+    line = f"{held}, most often {joints}: move more slowly, or give the robot's true limits {place}"
     if not is_slower:
         return line
     speeds = "assumed speed limits" if closing["is_assumed"] else "speed limits"
@@ -227,11 +238,22 @@ def table_rows(summary: Values) -> dict[str, str]:
         ),
         "wrist error": f"{summary['wrist_error_mm_mean']:.2f} mm mean",
         "samples at a limit": f"{summary['samples_at_limit']}",
-        "samples held by a speed limit": f"{100.0 * summary['speed_limited_share']:.1f} %",
+        "samples held by a speed limit": _held_share(summary),
         **_leaning_rows(summary),
         "largest limit violation": f"{summary['limit_violation_max']:.1e} rad",
         **_time_rows(summary),
     }
+
+
+def _held_share(summary: Values) -> str:
+    """Return the share of samples that speed limits held as text, and that of assumed ones."""
+    text = f"{100.0 * summary['speed_limited_share']:.1f} %"
+    assumed = summary["assumed_speed_share"]
+    return (
+        text
+        if assumed is None
+        else f"{text}, by an assumed one {100.0 * assumed:.1f} %"
+    )
 
 
 def _by_instants(trajectory: Trajectory) -> Values:

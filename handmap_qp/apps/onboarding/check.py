@@ -13,14 +13,16 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_core.errors import HandError
-from handmap_core.se3 import box_of, lengths
+from handmap_core.se3 import Array, box_of, lengths
 from handmap_qp.apps.tables import rows_of
 from handmap_qp.hands import (
+    FASTEST_SPEEDS,
     Hand,
     HandSpec,
     Links,
     Names,
     PalmKinematics,
+    are_prismatic,
     find_fingers,
     is_lost,
     is_missing,
@@ -60,6 +62,14 @@ _FIST_TIME = 0.5
 # A slower one, at one speed of all joints, is what a file says that does not know them [s].
 _PLACEHOLDER = 1.0
 _FIST_ANGLE = 1.5
+# A slower joint is in another unit [rad/s or m/s].
+_SLOWEST = 0.02
+# Where speeds are from that are not the robot's: words for `HandSpec.speeds`.
+_ORIGINS = {
+    "assumed": "assumed",
+    "estimated": "estimated from the actuators of the MJCF file",
+    "given": "given by `--speed`",
+}
 # A larger range is in degrees or millimetres [rad or m].
 _LARGEST_TURN = 2.0 * np.pi + 0.01
 _LARGEST_SLIDE = 2.0
@@ -154,8 +164,9 @@ def _check_limits(hand: Hand) -> Found:
     for i in np.flatnonzero(width < 0.002):
         what = f"{names[i]} has a range of {width[i]:.2g}"
         yield warning("limits", what, "give its true limits, or lock it")
+    # `check_speeds` finds fast ones.
     for i, speed in enumerate(hand.velocity_limits):
-        if not 0.02 <= speed <= 60.0:
+        if speed < _SLOWEST:
             what = f"a speed of {speed:.3g} per second is unusual"
             yield advice(f"limits.{names[i]}", what, "check its unit")
     turns, _ = PalmKinematics(hand).axes(hand.rest, hand.joints)
@@ -169,10 +180,18 @@ def _check_limits(hand: Hand) -> Found:
 
 
 def check_speeds(hand: Hand) -> Iterator[HandFinding]:
+    """Find speeds that are too slow for a fist, or no motor's, and those that are not the robot's.
+
+    Each kind is one finding, whose key names the joint that shows it best.
+    """
+    found = [*_slow_joints(hand), *_fast_joints(hand)]
+    # A finding about a joint says whether its speed is assumed.
+    yield from found or _unsure_speeds(hand)
+
+
+def _slow_joints(hand: Hand) -> Iterator[HandFinding]:
     """Find joints of the fingers that are too slow for a fist in half a second."""
-    travel = np.abs(hand.limits - hand.zero).max(axis=0)
-    times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
-    times[hand.moves_wrist] = 0.0
+    times = _fist_times(hand)
     worst = np.argmax(times)
     if not (count := (times > _FIST_TIME).sum()):
         return
@@ -188,14 +207,70 @@ def check_speeds(hand: Hand) -> Iterator[HandFinding]:
     # Followers that turn further than their leaders slow them, whatever the URDF says.
     plain = pin.buildModelFromXML(hand.urdf_text)
     given = plain.velocityLimit[plain.nv - hand.model.nv + hand.v_indices]
-    if hand.spec.speeds == "assumed":
-        what += "; these speeds are assumed"
+    if origin := _ORIGINS.get(hand.spec.speeds or ""):
+        what += f"; these speeds are {origin}"
     elif times[worst] > _PLACEHOLDER and np.ptp(given[~hand.moves_wrist]) == 0.0:
         what += "; all joints have the same speed: a placeholder?"
+    yield advice(key, what, _true_speeds(hand))
+
+
+def _fast_joints(hand: Hand) -> Iterator[HandFinding]:
+    """Find joints whose speed hardly any motor reaches: a limit that never holds."""
+    if hand.spec.speeds in ("maker", "given", "estimated"):
+        return
+    speeds = hand.velocity_limits
+    most = np.where(
+        are_prismatic(hand), FASTEST_SPEEDS["prismatic"], FASTEST_SPEEDS["revolute"]
+    )
+    count = (speeds > most).sum()
+    if not count:
+        return
+    worst = np.argmax(speeds / most)
+    joints = "joint has a speed" if count == 1 else "joints have speeds"
+    what = (
+        f"{count} {joints} of up to {speeds[worst]:,.5g} per second, which hardly any motor "
+        "reaches: a placeholder? The robot then falls behind its commands"
+    )
+    yield advice(f"limits.{hand.joint_names[worst]}", what, _true_speeds(hand))
+
+
+def _unsure_speeds(hand: Hand) -> Iterator[HandFinding]:
+    """Say what it costs that speeds are assumed or estimated."""
+    assumed = hand.spec.assumed_speeds
+    if not assumed and hand.spec.speeds != "estimated":
+        return
+    joints = [*map(hand.joint_names.index, assumed or hand.spec.joints)]
+    speeds = hand.velocity_limits[joints]
+    low, high = f"{speeds.min():.3g}", f"{speeds.max():.3g}"
+    span = low if low == high else f"{low} to {high}"
+    times = _fist_times(hand)
+    worst = joints[np.argmax(times[joints])]
+    count = f"{len(joints)} joint" + "s" * (len(joints) > 1)
+    cost = (
+        f"a fist takes {times[worst]:.2g} s or more; a faster robot is held back, and a slower "
+        "one falls behind its commands"
+        if assumed
+        else "they fit a simulation with these actuators; motors may be slower"
+    )
+    origin = _ORIGINS[hand.spec.speeds or ""]
+    what = f"the speeds of {count} are {origin}, {span} per second: {cost}"
+    yield advice(f"limits.{hand.joint_names[worst]}", what, _true_speeds(hand))
+
+
+def _fist_times(hand: Hand) -> Array:
+    """Return the time of each joint of the fingers for its part of a fist [s], shape (n,)."""
+    travel = np.abs(hand.limits - hand.zero).max(axis=0)
+    times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
+    times[hand.moves_wrist] = 0.0
+    return times
+
+
+def _true_speeds(hand: Hand) -> str:
+    """Return what to change where speeds are not the robot's."""
     change = "give the maker's speeds in `limits`, or one by `hands init --speed`"
     if maker := maker_speed(hand.spec):
         change += ": {:g} by {}".format(*maker)
-    yield advice(key, what, change)
+    return change
 
 
 def _check_followers(hand: Hand) -> Found:

@@ -207,17 +207,18 @@ class HandsInit:
 
     def run(self) -> None:
         """Find the hands, write their descriptions, and print how each part was found."""
-        result = init_hands(
-            self.urdf,
-            out=self.out,
-            root=self.root,
-            base=self.base,
-            side=self.side,
-            thumb=self.thumb,
-            speed=self.speed,
-            name=self.name,
-            overwrite=self.overwrite,
-        )
+        with progress(f"reading {self.urdf}"):
+            result = init_hands(
+                self.urdf,
+                out=self.out,
+                root=self.root,
+                base=self.base,
+                side=self.side,
+                thumb=self.thumb,
+                speed=self.speed,
+                name=self.name,
+                overwrite=self.overwrite,
+            )
         if self.json:
             print(json.dumps(_init_document(result)))
             return

@@ -41,13 +41,14 @@ def open_description(hand: str | Path) -> Detection:
     with suppress(HandError):
         found = detect(urdf_path(spec), root=spec.wrist.link)
         found = with_collision_pairs(found, built).doubted(check_fist(built))
+        found = found._replace(notes=(*found.notes, *_wrong(built)))
     return corrected(found, spec)
 
 
 def described(found: Detection, source: RobotSource) -> Detection:
     """Complete a hand found in a file: a free thumb at rest, pairs of links, doubts, and notes."""
     spec = replace(found.spec, urdf=source.reference)
-    spec = with_origin(spec, is_given=not source.notes)
+    spec = with_origin(spec, source.speeds)
     hand = load_hand(spec)
     way = ~hand.moves_wrist * (hand.zero - hand.rest)
     postures = hand.rest + np.linspace(0.0, 1.0, 5)[:, None] * way
@@ -64,12 +65,16 @@ def described(found: Detection, source: RobotSource) -> Detection:
             doubts.append(warning("rest", what, "look at it"))
             hand = load_hand(with_rest(hand, q))
     found = with_collision_pairs(found._replace(spec=hand.spec), hand)
+    notes = (*source.notes, *found.notes, *_wrong(hand))
+    return found.doubted(doubts)._replace(notes=notes)
+
+
+def _wrong(hand: Hand) -> list[str]:
+    """Return a note for each finding about speeds and shapes that says what to change."""
     report = HandReport("")
     for check in (check_speeds, check_shapes):
         report.add(check(hand))
-    wrong = [f"{f.key}: {f.text}: {f.change}" for f in report.findings if f.change]
-    notes = (*source.notes, *found.notes, *wrong)
-    return found.doubted(doubts)._replace(notes=notes)
+    return [f"{f.key}: {f.text}: {f.change}" for f in report.findings if f.change]
 
 
 def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:

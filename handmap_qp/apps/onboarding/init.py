@@ -143,5 +143,6 @@ def _renamed(found: Detection, name: str) -> Detection:
 def _completed(found: Detection, source: RobotSource, speed: float | None) -> Detection:
     """Give a hand its speed limits, and what `described` adds."""
     if speed is not None:
-        found = found._replace(spec=with_speed(found.spec, speed))
+        spec = replace(with_speed(found.spec, speed), speeds="given")
+        found = found._replace(spec=spec)
     return described(found, source)

@@ -1,6 +1,7 @@
-"""Speeds of joints where a URDF has placeholders: what the makers say (`speeds.yaml`)."""
+"""Speeds of joints that a file does not know: what makers say (`speeds.yaml`), and estimates."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -24,13 +25,28 @@ def maker_speed(spec: HandSpec) -> tuple[float, str] | None:
     )
 
 
-def with_origin(spec: HandSpec, *, is_given: bool) -> HandSpec:
-    """Say where speeds are from: `limits`, where it has any, or a URDF in which they are given."""
+def with_origin(spec: HandSpec, estimated: Mapping[str, float] | None) -> HandSpec:
+    """Say where speeds are from, and write those that are estimated.
+
+    Args:
+        spec: A description that was found; its `limits` have speeds that its URDF lacks, or the
+            given one (`speeds` is `given`).
+        estimated: Top speeds by joint that an MJCF file's actuators tell [rad/s or m/s]; None for a
+            URDF.
+    """
     speeds = {limit.velocity for limit in spec.limits.values()} - {None}
     maker = maker_speed(spec)
     if maker and speeds == {maker[0]}:
         return replace(spec, speeds="maker")
-    return replace(spec, speeds="urdf" if is_given and not speeds else "assumed")
+    if spec.speeds:
+        return spec
+    if estimated is None:
+        return replace(spec, speeds="assumed" if speeds else "urdf")
+    if not estimated.keys() >= {*spec.joints}:
+        return replace(spec, speeds="assumed")
+    # Three digits are more than is known.
+    rounded = [float(f"{estimated[joint]:.3g}") for joint in spec.joints]
+    return replace(with_speed(spec, np.array(rounded)), speeds="estimated")
 
 
 def with_speed(spec: HandSpec, speed: float | Array) -> HandSpec:

@@ -68,7 +68,7 @@ _ABOVE = {
     "joints": "Active joints, in the order of every q; mimic joints are not among them.",
     "locked": "Locked joints and their positions [rad or m].",
     "limits": "Limits that the URDF lacks, and speeds in place of its own [rad or m, and per s].",
-    "speeds": "Where the speed limits are from: urdf, maker or assumed.",
+    "speeds": "Where the speed limits are from: urdf, maker, given, estimated or assumed.",
     "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
     "tuning": "What `handmap calibrate-actuators` found of this hand and its motors [rad, s, m].",
@@ -92,11 +92,14 @@ class RobotSource(NamedTuple):
         urdf: The file.
         reference: How `hand.yaml` refers to it.
         notes: What a conversion from MJCF left out or assumed, in sentences.
+        speeds: Top speeds by joint that an MJCF file's actuators tell [rad/s or m/s]; None for a
+            URDF, which has its own.
     """
 
     urdf: Path
     reference: str
     notes: Names = ()
+    speeds: Mapping[str, float] | None = None
 
 
 def open_source(
@@ -126,8 +129,9 @@ def open_source(
     from handmap_qp.hands import mjcf
 
     if source or not folder:
-        notes = mjcf.ConvertedMjcf(path).notes
-        return RobotSource(mjcf.cached_urdf(path), named, notes)
+        converted = mjcf.ConvertedMjcf(path)
+        urdf = mjcf.cached_urdf(path)
+        return RobotSource(urdf, named, converted.notes, converted.speeds)
     urdf = folder / f"{path.stem}.urdf"
     _check_new(urdf, overwrite=overwrite)
     converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
@@ -137,7 +141,7 @@ def open_source(
         raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "out"):
         mjcf.write_converted(converted, urdf)
-    return RobotSource(urdf, str(urdf), converted.notes)
+    return RobotSource(urdf, str(urdf), converted.notes, converted.speeds)
 
 
 def write_hand(detection: Detection, path: Path, by: str = _EDITORS) -> None:

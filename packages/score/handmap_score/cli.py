@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -19,8 +20,17 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import print_result, progress
-from handmap_qp.errors import expect, warn
-from handmap_qp.hands import Hand, Names, Values, find_fingers, load_hand, sided_name
+from handmap_qp.errors import HandmapError, expect, warn
+from handmap_qp.hands import (
+    Hand,
+    Names,
+    Values,
+    find_fingers,
+    load_hand,
+    sided_name,
+)
+from handmap_qp.human import human_name
+from handmap_qp.mapping import fist_time, slow_note
 from handmap_qp.output_files import make_folder, replaced_file
 from .gestures import SOURCES
 from .pages import results_of, score_page, votes_page
@@ -168,6 +178,9 @@ class Score:
                 )
             scores.append(score)
             about[f"surfaces: {robot.name}"] = score.surfaces
+            if note := _slow_note(robot):
+                about[f"speed: {robot.name}"] = note
+                warn(f"{robot.name}: {note}")
             about |= {f"recording: {t.name}": t.recording.source for t in takes}
         results = results_of(scores, about)
         with progress("drawing, which takes a minute"):
@@ -271,6 +284,13 @@ class Score:
             wanted.append((request, robot, mappings_of(request, about)))
         check_names("--hands", [robot.name for _, robot, _ in wanted])
         return wanted
+
+
+def _slow_note(robot: Hand) -> str:
+    """Return a line if the robot's joints are slower than a person; empty if not, or not known."""
+    with suppress(HandmapError):
+        return slow_note(fist_time(load_hand(human_name(robot.side)), robot))
+    return ""
 
 
 def mappings_of(request: Compare, about: Values) -> list[ComparedMethod]:

@@ -20,7 +20,7 @@ import numpy as np
 from handmap_qp import init_hands
 from handmap_qp.apps.simulation.losses import AWAY
 from handmap_qp.errors import HandmapError, expect
-from handmap_qp.hands import FINGERS, Hand, load_hand
+from handmap_qp.hands import FINGERS, USUAL_SPEEDS, Hand, load_hand
 from handmap_qp.se3 import Array
 from .operator import HumanHand, Joints
 from .task import Scene, Signals
@@ -28,9 +28,9 @@ from .task import Scene, Signals
 ADROIT = "adroit"
 """Name of the hand as `hands init --speed 50` describes it: no motor is slower."""
 ADROIT_ASSUMED = "adroit-assumed"
-"""Name of the hand as `hands init` describes it, which assumes 5 rad/s."""
-SPEEDS = {ADROIT: 50.0, ADROIT_ASSUMED: None}
-"""Speed limit of all joints [rad/s]; None for what `hands init` assumes."""
+"""Name of the hand as `hands init --speed 5` describes it: the speed assumed without better."""
+SPEEDS = {ADROIT: 50.0, ADROIT_ASSUMED: USUAL_SPEEDS["revolute"]}
+"""Speed limit of all joints [rad/s]."""
 
 STEPS = 200
 HOLD = 25
