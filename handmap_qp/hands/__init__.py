@@ -84,6 +84,7 @@ from .shape_pairs import (
     yield_to,
 )
 from .sources import (
+    is_lfs_pointer,
     is_mjcf,
     package_folder,
     read_urdf,
@@ -116,6 +117,7 @@ from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
     MOVABLE,
+    NO_LIMIT,
     USUAL_SPEEDS,
     check_tree,
     child_of,
@@ -141,6 +143,7 @@ __all__ = [
     "LINK_MARGIN",
     "LONGEST_STOP",
     "MOVABLE",
+    "NO_LIMIT",
     "OTHER_SIDE",
     "PARALLEL",
     "ROBOT_FILES",
@@ -204,6 +207,7 @@ __all__ = [
     "hand_files",
     "hand_names",
     "hand_sides",
+    "is_lfs_pointer",
     "is_lost",
     "is_missing",
     "is_mjcf",

@@ -26,7 +26,7 @@ from handmap_core.errors import HandError, reason_of
 from handmap_core.hands import Names
 from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
-from .sources import find_mesh, root_tag
+from .sources import find_mesh, is_lfs_pointer, root_tag
 from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -84,8 +84,28 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         raise HandError(problem, file=file) from error
     if (model.jnt_type == _FREE).all():
         raise HandError("no joint moves in the MJCF", file=file)
+    _check_finite(model, file)
     is_unnamed = spec.modelname in ("", "MuJoCo Model")
     return model, file.stem if is_unnamed else spec.modelname, notes
+
+
+def _check_finite(model: mujoco.MjModel, file: Path) -> None:
+    """Reject numbers that MuJoCo takes, and a URDF cannot have."""
+    numbers = {
+        "pos": (model.body_pos, model.geom_pos, model.jnt_pos, model.body_ipos),
+        "quat": (model.body_quat, model.geom_quat, model.body_iquat),
+        "range": (model.jnt_range,),
+        "axis": (model.jnt_axis,),
+        "ref": (model.qpos0,),
+        "size": (model.geom_size,),
+        "mass": (model.body_mass, model.body_inertia),
+        "damping": (model.dof_damping, model.dof_frictionloss),
+        "forcerange": (model.actuator_forcerange, model.jnt_actfrcrange),
+    }
+    for key, arrays in numbers.items():
+        if not all(np.isfinite(values).all() for values in arrays):
+            problem = f"a number in an attribute `{key}` of the MJCF is not finite"
+            raise HandError(problem, file=file)
 
 
 def _parse(file: Path) -> tuple[mujoco.MjSpec, Names]:
@@ -121,9 +141,12 @@ def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
     for asset in (*spec.materials, *spec.textures):
         spec.delete(asset)
     lost = set()
+    pointers = set()
     for mesh in [mesh for mesh in spec.meshes if mesh.file]:
         path = find_mesh(mesh.file, folder / spec.meshdir)
-        if path.exists():
+        if is_lfs_pointer(path):
+            pointers.add(mesh.name)
+        if path.exists() and mesh.name not in pointers:
             mesh.file = str(path.resolve())
         else:
             lost.add(mesh.name)
@@ -133,8 +156,13 @@ def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
             geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
             geom.meshname = ""
             geom.size[0] = _RADIUS
-    names = ", ".join(sorted(lost))
-    return (f"balls are in the place of missing meshes: {names}",) if lost else ()
+    if not lost:
+        return ()
+    note = f"balls are in the place of missing meshes: {', '.join(sorted(lost))}"
+    advice = (
+        "; pointers of git-lfs are in their place: run `git lfs pull` in the repository"
+    )
+    return (note + advice * bool(pointers),)
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
@@ -260,7 +288,10 @@ class ConvertedMjcf:
         mujoco.mj_kinematics(model, self._data)
         self._rules, more = read_couplings(model, self.joints)
         speeds = "{revolute:g} rad/s and {prismatic:g} m/s".format(**USUAL_SPEEDS)
-        self.notes += (f"MuJoCo has no speed limits: {speeds} are written", *more)
+        self.notes += (
+            f"MuJoCo has no speed limits: {speeds} are written",
+            *more,
+        )
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
         self.text = self._described(name)

@@ -238,6 +238,9 @@ def _closed(residual: _Residual, q: Array, first: int) -> Array | None:
     q = q.copy()
     for _ in range(_ITERATIONS):
         gap, slopes = residual(q)
+        # A model with NaN in its numbers, or one that ran away.
+        if not (np.isfinite(gap).all() and np.isfinite(slopes).all()):
+            return None
         if np.abs(gap).max() < 1e-6 * _CLOSED:
             break
         q[first:] -= np.linalg.lstsq(slopes[:, first:], gap, rcond=_RANK)[0]
