@@ -116,6 +116,7 @@ from .spec import (
 from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
+    LOOP_END,
     MOVABLE,
     NO_LIMIT,
     USUAL_SPEEDS,
@@ -142,6 +143,7 @@ __all__ = [
     "LARGEST_ROLL",
     "LINK_MARGIN",
     "LONGEST_STOP",
+    "LOOP_END",
     "MOVABLE",
     "NO_LIMIT",
     "OTHER_SIDE",

@@ -27,7 +27,7 @@ from handmap_core.hands import Names
 from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import find_mesh, is_lfs_pointer, root_tag
-from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
+from .urdf import LOOP_END, USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -38,7 +38,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 7
+_CONVERSION = 8
 # In a file that this one names, the message has other words before these.
 _UNKNOWN = re.compile(
     r"XML Error: Schema violation: unrecognized attribute: '(\w+)'\s+"
@@ -286,11 +286,11 @@ class ConvertedMjcf:
         self._data = mujoco.MjData(model)
         self._data.qpos[model.jnt_qposadr[[*self.joints]]] = 0.0
         mujoco.mj_kinematics(model, self._data)
-        self._rules, more = read_couplings(model, self.joints)
+        self._couplings = read_couplings(model, self.joints)
         speeds = "{revolute:g} rad/s and {prismatic:g} m/s".format(**USUAL_SPEEDS)
         self.notes += (
             f"MuJoCo has no speed limits: {speeds} are written",
-            *more,
+            *self._couplings.notes,
         )
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
@@ -355,6 +355,8 @@ class ConvertedMjcf:
             placed = frame
             parent = link
         # The last link is the body's own.
+        if body in self._couplings.bars:
+            SubElement(robot[-1], LOOP_END)
         self._add_inertial(robot[-1], body)
         self._add_shapes(robot[-1], body)
 
@@ -387,12 +389,13 @@ class ConvertedMjcf:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
         kind = model.jnt_type[joint]
-        rule = self._rules.get(element.get("name", ""))
-        low, high = model.jnt_range[joint]
+        name = element.get("name", "")
+        rule = self._couplings.rules.get(name)
+        low, high = self._couplings.ranges.get(name, model.jnt_range[joint])
         ends: dict[str, float] = {}
         if rule and not rule.joint:
             ends = {"lower": rule.offset, "upper": rule.offset}
-        elif model.jnt_limited[joint]:
+        elif model.jnt_limited[joint] or name in self._couplings.ranges:
             # MuJoCo's range of a ball is [0, largest angle].
             ends = {"lower": -high if kind == _BALL else low, "upper": high}
         turning = "revolute" if ends else "continuous"

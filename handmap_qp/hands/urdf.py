@@ -24,6 +24,8 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
 USUAL_SPEEDS = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 """Speeds of joints whose file gives none, by their type [rad/s or m/s]."""
+LOOP_END = "loop_end"
+"""Element of a link that a constraint of an MJCF joins to another one: a bar, and no finger."""
 _FREE = ("planar", "floating")
 _KINDS = (*MOVABLE, "fixed", *_FREE)
 _DEFAULT_AXIS = "1 0 0"

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
-from handmap_qp.hands import Finger, ends_of, origin_of
+from handmap_qp.hands import LOOP_END, Finger, ends_of, origin_of
 from .robot import Robot
 
 LONGEST_FINGER = 0.3
@@ -36,6 +36,10 @@ _LINKAGE_SLACK = 0.004
 # A bar turns this far about its pivot [rad], which is this share of its length off its joint.
 _LEAST_PIVOT = 0.1
 _PIVOT_SHARE = 0.4
+# A bar ends this near to the box around a link of a finger [m], and this far from its tip [lengths
+# of the bar].
+_ON = 0.005
+_OFF_TIP = 0.3
 # The tip of a jaw opens by the first, and closes to within the second [m].
 _OPEN = 0.02
 _CLOSED = 0.015
@@ -388,15 +392,43 @@ def _second_end(finger: RobotFinger, fingers: list[RobotFinger]) -> str:
 
 
 def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
-    """Return what is wrong with a bar: hinged to a finger that the same joints drive."""
+    """Return what is wrong with a bar: hinged to a finger that the same joints drive.
+
+    A file of MuJoCo says what closes a loop.
+    """
+    links = [bar.robot.elements[link] for link in bar.robot.links[bar.joints[-1]]]
+    if any(link.find(LOOP_END) is not None for link in links):
+        return "a bar that closes a loop, so not a finger"
     for host in fingers:
         if (
             len(host.joints) > len(bar.joints)
             and {*host.columns} >= {*bar.columns}
-            and any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
+            and (
+                _ends_on(bar, host)
+                or any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
+            )
         ):
             return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
     return ""
+
+
+def _ends_on(bar: RobotFinger, host: RobotFinger) -> bool:
+    """Return whether a bar's end at rest lies on a later body of a finger, and not at its tip.
+
+    A coupling that a description gives is often too rough for a bar to stay hinged.
+    """
+    robot = bar.robot
+    body = robot.links[host.joints[-1]][0]
+    tip = transform_points(robot.pose_in(bar.links[-1], body), bar.tip[1])
+    if lengths(tip - host.tip[1]) < _OFF_TIP * bar.length:
+        return False
+    for joint in host.joints[1:]:
+        cloud = robot.surface(joint)
+        pose = robot.pose_in(bar.links[-1], robot.links[joint][0])
+        place = transform_points(pose, bar.tip[1])
+        if len(cloud) and lengths(place - place.clip(*box_of(cloud))) < _ON:
+            return True
+    return False
 
 
 def _is_hinged(bar: RobotFinger, poses: Array) -> bool:
