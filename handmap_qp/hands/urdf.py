@@ -446,10 +446,8 @@ def _complete_limits(joint: Element, limits: LimitSpec) -> None:
         set_numbers(element, lower=-NO_LIMIT, upper=NO_LIMIT)
     element.attrib.setdefault("velocity", "0")
     # Written for none: -1, infinity.
-    effort = float(element.get("effort", 0.0))
-    if not 0.0 <= effort < math.inf:
-        effort = 0.0
-    set_numbers(element, effort=effort)
+    if not 0.0 <= float(element.get("effort", -1.0)) < math.inf:
+        set_numbers(element, effort=0.0)
 
 
 def lock_joints(robot: Element, positions: Positions) -> Positions:

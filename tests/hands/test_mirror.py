@@ -160,7 +160,7 @@ def test_output_has_no_minus_zero() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "not valid XML"),
+        ("", "the file is empty"),
         ("<robot>", "not valid XML"),
         ("<mujoco/>", "root <robot>"),
         (
