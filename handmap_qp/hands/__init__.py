@@ -91,6 +91,7 @@ from .shape_pairs import (
     yield_to,
 )
 from .sources import (
+    is_lfs_pointer,
     is_mjcf,
     package_folder,
     read_urdf,
@@ -123,7 +124,9 @@ from .synergies import load_synergies
 from .torques import DATA_SHEETS, TorqueLimits, are_prismatic, torque_limits
 from .urdf import (
     FASTEST_SPEEDS,
+    LOOP_END,
     MOVABLE,
+    NO_LIMIT,
     USUAL_SPEEDS,
     check_tree,
     child_of,
@@ -150,8 +153,10 @@ __all__ = [
     "LARGEST_ROLL",
     "LINK_MARGIN",
     "LONGEST_STOP",
+    "LOOP_END",
     "MOST_TRIANGLES",
     "MOVABLE",
+    "NO_LIMIT",
     "OTHER_SIDE",
     "PARALLEL",
     "ROBOT_FILES",
@@ -217,6 +222,7 @@ __all__ = [
     "hand_files",
     "hand_names",
     "hand_sides",
+    "is_lfs_pointer",
     "is_lost",
     "is_missing",
     "is_mjcf",

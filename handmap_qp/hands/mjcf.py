@@ -27,8 +27,8 @@ from handmap_core.hands import Names
 from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .mjcf_speeds import top_speeds
-from .sources import find_mesh, root_tag
-from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
+from .sources import find_mesh, is_lfs_pointer, root_tag
+from .urdf import LOOP_END, USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -39,7 +39,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 7
+_CONVERSION = 8
 # In a file that this one names, the message has other words before these.
 _UNKNOWN = re.compile(
     r"XML Error: Schema violation: unrecognized attribute: '(\w+)'\s+"
@@ -85,8 +85,28 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         raise HandError(problem, file=file) from error
     if (model.jnt_type == _FREE).all():
         raise HandError("no joint moves in the MJCF", file=file)
+    _check_finite(model, file)
     is_unnamed = spec.modelname in ("", "MuJoCo Model")
     return model, file.stem if is_unnamed else spec.modelname, notes
+
+
+def _check_finite(model: mujoco.MjModel, file: Path) -> None:
+    """Reject numbers that MuJoCo takes, and a URDF cannot have."""
+    numbers = {
+        "pos": (model.body_pos, model.geom_pos, model.jnt_pos, model.body_ipos),
+        "quat": (model.body_quat, model.geom_quat, model.body_iquat),
+        "range": (model.jnt_range,),
+        "axis": (model.jnt_axis,),
+        "ref": (model.qpos0,),
+        "size": (model.geom_size,),
+        "mass": (model.body_mass, model.body_inertia),
+        "damping": (model.dof_damping, model.dof_frictionloss),
+        "forcerange": (model.actuator_forcerange, model.jnt_actfrcrange),
+    }
+    for key, arrays in numbers.items():
+        if not all(np.isfinite(values).all() for values in arrays):
+            problem = f"a number in an attribute `{key}` of the MJCF is not finite"
+            raise HandError(problem, file=file)
 
 
 def _parse(file: Path) -> tuple[mujoco.MjSpec, Names]:
@@ -122,9 +142,12 @@ def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
     for asset in (*spec.materials, *spec.textures):
         spec.delete(asset)
     lost = set()
+    pointers = set()
     for mesh in [mesh for mesh in spec.meshes if mesh.file]:
         path = find_mesh(mesh.file, folder / spec.meshdir)
-        if path.exists():
+        if is_lfs_pointer(path):
+            pointers.add(mesh.name)
+        if path.exists() and mesh.name not in pointers:
             mesh.file = str(path.resolve())
         else:
             lost.add(mesh.name)
@@ -134,8 +157,13 @@ def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
             geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
             geom.meshname = ""
             geom.size[0] = _RADIUS
-    names = ", ".join(sorted(lost))
-    return (f"balls are in the place of missing meshes: {names}",) if lost else ()
+    if not lost:
+        return ()
+    note = f"balls are in the place of missing meshes: {', '.join(sorted(lost))}"
+    advice = (
+        "; pointers of git-lfs are in their place: run `git lfs pull` in the repository"
+    )
+    return (note + advice * bool(pointers),)
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
@@ -262,9 +290,12 @@ class ConvertedMjcf:
         self._data = mujoco.MjData(model)
         self._data.qpos[model.jnt_qposadr[[*self.joints]]] = 0.0
         mujoco.mj_kinematics(model, self._data)
-        self._rules, more = read_couplings(model, self.joints)
+        self._couplings = read_couplings(model, self.joints)
         speeds = "{revolute:g} rad/s and {prismatic:g} m/s".format(**USUAL_SPEEDS)
-        self.notes += (f"MuJoCo has no speed limits: the URDF has {speeds}", *more)
+        self.notes += (
+            f"MuJoCo has no speed limits: the URDF has {speeds}",
+            *self._couplings.notes,
+        )
         self.speeds = self._speeds()
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
@@ -342,6 +373,8 @@ class ConvertedMjcf:
             placed = frame
             parent = link
         # The last link is the body's own.
+        if body in self._couplings.bars:
+            SubElement(robot[-1], LOOP_END)
         self._add_inertial(robot[-1], body)
         self._add_shapes(robot[-1], body)
 
@@ -374,12 +407,13 @@ class ConvertedMjcf:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
         kind = model.jnt_type[joint]
-        rule = self._rules.get(element.get("name", ""))
-        low, high = model.jnt_range[joint]
+        name = element.get("name", "")
+        rule = self._couplings.rules.get(name)
+        low, high = self._couplings.ranges.get(name, model.jnt_range[joint])
         ends: dict[str, float] = {}
         if rule and not rule.joint:
             ends = {"lower": rule.offset, "upper": rule.offset}
-        elif model.jnt_limited[joint]:
+        elif model.jnt_limited[joint] or name in self._couplings.ranges:
             # MuJoCo's range of a ball is [0, largest angle].
             ends = {"lower": -high if kind == _BALL else low, "upper": high}
         turning = "revolute" if ends else "continuous"

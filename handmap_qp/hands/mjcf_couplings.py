@@ -1,75 +1,106 @@
 """Couplings of a MuJoCo model as mimic rules: joint equalities, tendons and closed loops.
 
-Joints that constraints couple to one degree of freedom, such as the four bars of a gripper's
-finger, fit into a URDF: one of them leads, and each of the others follows it along a curve. The
-curve is solved from MuJoCo's own constraints, and its best line is written.
+Constraints couple joints, such as the four bars of a gripper's finger or the cranks and rods that
+push one. Some of the joints lead, and the others follow. A URDF has lines for that: the loops are
+closed for positions of what leads, with MuJoCo's own constraints, and each follower gets the line
+that fits best. What follows no line is held.
 """
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from copy import copy
 from functools import partial
+from itertools import chain
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from handmap_core.se3 import Array
+from handmap_core.se3 import Array, lengths
+from .closed_loops import ClosedLoop, Line, best_line
 from .spec import MimicSpec, Rules
 
 _DISABLE = mujoco.mjtDisableBit
-# Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
-# [rad or m].
-_SAMPLES = 41
-_ITERATIONS = 20
-_CLOSED = 1e-6
-# Least share of the postures that must have one.
-_LEAST_CLOSED = 0.48
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+# Kinds of constraints that join two bodies.
+_JOINING = ("connect", "weld")
 # A joint takes part in a constraint if it moves it by more than this in `qpos0`, where loops are
-# closed [m/rad, or without unit]. Singular values below this share of the largest count as zero.
+# closed [m/rad, or without unit].
 _LEAST_EFFECT = 1e-4
-_RANK = 1e-4
-# A line that is farther from its curve is not written, and a nearer one needs no note [rad or m].
+# Least share of a leader's range in which its loop closes.
+_LEAST_CLOSED = 0.1
+# A joint is held if it is farther from its line than this [rad or m], and a finger's also than this
+# share of its own range; one that is nearer than the last needs no note.
 _LARGEST_ERROR = 0.1
-_NO_ERROR = 1e-9
+_LARGEST_SHARE = 0.25
+_NO_ERROR = 1e-4
+# Least share of a leader's range that a follower's limits leave, and that counts where a loop ends.
+_LEAST_SHARE = 0.01
 
 
-_Residual = Callable[[Array], tuple[Array, Array]]
-"""Residuals of constraints and their derivatives at positions of joints."""
-_Solution = tuple[dict[str, MimicSpec], list[str]]
-"""Rules of followers by name, of those that are held without a leader, and notes on them."""
+class Couplings(NamedTuple):
+    """What the constraints of a model say about its joints and bodies.
+
+    Attributes:
+        rules: Rules by follower. A joint that is held has one without a leader.
+        ranges: Limits of leaders [rad or m] that are narrower than their own, by their names.
+        bars: Bodies that end a loop on another body, and are no end of a finger.
+        fits: How well each follower is fitted, of those that are not exact.
+        held: What is held because no line describes it, by what leads.
+        notes: Sentences on what a URDF cannot express exactly.
+    """
+
+    rules: dict[str, MimicSpec]
+    ranges: dict[str, tuple[float, float]]
+    bars: set[int]
+    fits: list[str]
+    held: list[str]
+    notes: list[str]
 
 
-def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution:
+def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> Couplings:
     """Read the equality constraints and tendons of a model.
 
     Args:
         model: The model.
         names: Names of the converted joints, by their indices in the model.
-
-    Returns:
-        The rules by follower, and a note on each coupling that a URDF cannot express exactly.
-        A joint that is held has a rule without a leader.
     """
     constraints = _Constraints(model, names)
     omitted = Counter[str]()
-    solutions: list[_Solution | None] = [None]
+    solutions: list[Couplings | None] = [None]
     while None in solutions:
         groups = constraints.groups()
         solutions = [constraints.solve(*group) for group in groups]
         for (_, rows), found in zip(groups, solutions, strict=True):
             if found is None:
                 omitted.update(constraints.drop(rows))
-    rules: dict[str, MimicSpec] = {}
-    notes: list[str] = []
-    for found, more in filter(None, solutions):
-        rules |= found
-        notes += more
+    solved = [*filter(None, solutions)]
+    found = Couplings({}, {}, constraints.bars(), [], [], [])
+    for each in solved:
+        found.rules.update(each.rules)
+        found.ranges.update(each.ranges)
+    notes = [*chain.from_iterable(each.notes for each in solved)]
+    if fits := [*chain.from_iterable(each.fits for each in solved)]:
+        notes.append(f"loops as mimic rules: {', '.join(fits)}")
+    if held := [*chain.from_iterable(each.held for each in solved)]:
+        what = (
+            f"no line describes the joints of a loop that are held: {'; '.join(held)}"
+        )
+        notes.append(what + constraints.advice(found.rules))
+    if found.ranges:
+        ends = (
+            f"{n} [{low:.4g}, {high:.4g}]" for n, (low, high) in found.ranges.items()
+        )
+        notes.append(
+            f"loops close in a part of a leader's range only: {', '.join(ends)}"
+        )
     notes += [
         f"{count} {kind} constraint(s) that a URDF cannot express are left out"
         for kind, count in omitted.items()
     ]
-    return rules, notes + _tendon_notes(model, names, rules)
+    return found._replace(notes=notes + _tendon_notes(model, names, found.rules))
 
 
 def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
@@ -92,7 +123,9 @@ def _tendon_notes(
     for i, factors in enumerate(tendons):
         if factors.keys() <= names.keys():
             own = {names[j]: factor for j, factor in factors.items()}
-            if len({rules[n].joint if n in rules else n for n in own}) > 1:
+            leads = {rules[n].joint if n in rules else n for n in own}
+            # Joints that are held have no leader.
+            if len(leads - {""}) > 1:
                 terms = [f"{factor:g} {joint}" for joint, factor in own.items()]
                 name = model.tendon(i).name or f"tendon {i}"
                 coupled.append(f"{name} = {' + '.join(terms)}")
@@ -148,55 +181,177 @@ class _Constraints:
         self._data.eq_active[others] = False
         return [self._kinds[i] for i in others]
 
-    def solve(self, coupled: set[int], constraints: list[int]) -> _Solution | None:
-        """Solve a group; None with other joints or freedoms, or if it is open or not near lines."""
+    def solve(self, coupled: set[int], constraints: list[int]) -> Couplings | None:
+        """Solve a group; None with joints that a URDF does not have, or if it does not close."""
         if not coupled <= self._names.keys():
             return None
-        leader = self._leader(coupled, constraints)
-        joints = [leader, *sorted(coupled - {leader})]
-        start = np.array(self._model.qpos0[self._model.jnt_qposadr[joints]])
-        residual = partial(self._residual, joints, constraints)
-        slopes = residual(start)[1]
-        freedom = len(joints) - np.linalg.matrix_rank(slopes, rtol=_RANK)
-        if freedom > 1:
+        joints = sorted(coupled)
+        loop = self._loop(joints, constraints)
+        idle = [joints[k] for k in self._undriven(loop, joints)]
+        if idle:
+            joints = [joint for joint in joints if joint not in idle]
+            loop = self._loop(joints, constraints)
+        if not loop.is_closed:
             return None
-        ends = self._model.jnt_range[leader]
-        if not self._model.jnt_limited[leader]:
-            ends = start[0] + (-1.0, 1.0)
-        # Without freedom, one posture in which nothing leads.
-        grid = np.linspace(*ends, _SAMPLES) if freedom else start[:1]
-        curve = [*_followed(residual, start, grid, freedom)]
-        if len(curve) < _LEAST_CLOSED * len(grid):
-            return None
-        postures = np.array(curve)
-        powers = np.vander(freedom * postures[:, 0], 2)
-        followers = postures[:, freedom:]
-        # Digits beyond these are noise of the fit.
-        lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
-        worst = float(np.abs(followers - powers @ lines).max())
-        if worst > _LARGEST_ERROR:
-            return None
-        named = [self._names[joint] for joint in joints]
-        head = named[0] if freedom else ""
-        others = named[freedom:]
-        rules = [MimicSpec(head, *line) for line in lines.T.tolist()]
-        note = (
-            f"curves couple {', '.join(others)} to {head}: lines within {worst:.2g} "
-            "rad or m of them are written"
+        traits = self._traits(joints)
+        # What drives leads; or what moves a finger, because a rule has one leader only.
+        preferred = self._preference(joints, constraints)
+        orders = [preferred, sorted(preferred, key=lambda k: not traits.moves_tip[k])]
+        every = [loop.leaders(order) for order in orders[: max(1, loop.freedom)]]
+        best = min(
+            (_Fit(loop, leaders, traits) for leaders in every),
+            key=lambda fit: fit.badness,
         )
-        return dict(zip(others, rules, strict=True)), [note] * (worst > _NO_ERROR)
+        if not best.is_wide:
+            return None
+        found = best.couplings()
+        for joint in idle:
+            name = self._names[joint]
+            at = float(self._model.qpos0[self._model.jnt_qposadr[joint]])
+            found.rules[name] = MimicSpec("", 0.0, at)
+            found.notes.append(f"{name} is held at {at:.4g}, because no motor moves it")
+        return found
 
-    def _leader(self, coupled: set[int], constraints: list[int]) -> int:
-        """Return the joint that leads in joint equalities, else one of a motor, else the first."""
+    def _loop(self, joints: list[int], constraints: list[int]) -> ClosedLoop:
+        model = self._model
+        is_limited = model.jnt_limited[joints] != 0
+        limits = np.where(is_limited, model.jnt_range[joints].T, [[-np.inf], [np.inf]])
+        start = np.array(model.qpos0[model.jnt_qposadr[joints]])
+        return ClosedLoop(partial(self._residual, joints, constraints), start, limits)
+
+    def _undriven(self, loop: ClosedLoop, joints: list[int]) -> list[int]:
+        """Return places of joints that can move while all motors stand; none without motors."""
         model = self._model
         motors = model.actuator_trntype
+        joint, tendon = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)
+        is_known = all(
+            kind == joint or (kind == tendon and _fixed_tendon(model, target))
+            for kind, target in zip(motors, model.actuator_trnid[:, 0], strict=True)
+        )
+        driven = self._driven()
+        # From the last one on, so that what is nearer to the palm can lead.
+        order = sorted(
+            range(len(joints)), key=lambda k: (joints[k] not in driven, -joints[k])
+        )
+        leaders = loop.leaders(order)
+        moved = [k for k in leaders if joints[k] in driven]
+        return [k for k in leaders if k not in moved] if moved and is_known else []
+
+    def _preference(self, joints: list[int], constraints: list[int]) -> list[int]:
+        """Return places of joints: leaders of joint equalities, those of motors, the others."""
+        model = self._model
         equal = [i for i in constraints if self._kinds[i] == "joint"]
         leading = {*model.eq_obj2id[equal]} - {*model.eq_obj1id[equal]}
+        driven = self._driven()
+
+        def is_last(place: int) -> tuple[bool, bool]:
+            return joints[place] not in leading, joints[place] not in driven
+
+        return sorted(range(len(joints)), key=is_last)
+
+    def _driven(self) -> set[int]:
+        """Return the joints of motors, and of tendons that motors pull."""
+        model = self._model
+        motors = model.actuator_trntype
         targets = model.actuator_trnid[:, 0]
-        driven = {*targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)]}
+        driven = {*targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)].tolist()}
         for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)]:
             driven.update(_fixed_tendon(model, tendon))
-        return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
+        return driven
+
+    def advice(self, rules: Rules) -> str:
+        """Return what to do about motors whose joints are held; empty if there are none."""
+        names = (self._names.get(joint, "") for joint in sorted(self._driven()))
+        held = [name for name in names if name in rules and not rules[name].joint]
+        if not held:
+            return ""
+        return f"; motors turn {', '.join(held)}: compute their positions from the commands"
+
+    # -- bars: bodies that a constraint joins to another one, and that carry no fingertip
+
+    def bars(self) -> set[int]:
+        """Return the bodies that end a loop on another body, and are no end of a finger."""
+        model = self._model
+        data = self._data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_kinematics(model, data)
+        found = set[int]()
+        for i, kind in enumerate(self._kinds):
+            if kind in _JOINING and data.eq_active[i]:
+                ends = self._joined(i)
+                leaves = [self._is_last(body) for body, _ in ends]
+                if all(leaves):
+                    beyond = [self._beyond(*end) for end in ends]
+                    # Of two halves that are alike, the first is the finger's.
+                    leaves = [beyond[0] < beyond[1] - _LEAST_EFFECT]
+                    leaves.append(not leaves[0])
+                found |= {
+                    body
+                    for (body, _), is_bar in zip(ends, leaves, strict=True)
+                    if is_bar
+                }
+        return found - {0}
+
+    def _joined(self, constraint: int) -> list[tuple[int, Array]]:
+        """Return the bodies that a constraint joins, and where [m], in the world, in `qpos0`."""
+        model = self._model
+        data = self._data
+        ids = model.eq_obj1id[constraint], model.eq_obj2id[constraint]
+        if model.eq_objtype[constraint] == _SITE:
+            return [(int(model.site_bodyid[k]), data.site_xpos[k]) for k in ids]
+        first, second = map(int, ids)
+        place = model.eq_data[constraint, :3]
+        # The anchor of a weld is one of its second body.
+        carrier = first if self._kinds[constraint] == "connect" else second
+        anchor = data.xpos[carrier] + data.xmat[carrier].reshape(3, 3) @ place
+        return [(first, anchor), (second, anchor)]
+
+    def _is_last(self, body: int) -> bool:
+        """Return whether no joint moves anything on a body."""
+        on_it = [int(k) for k in self._model.jnt_bodyid if body in self._above(int(k))]
+        return not {*on_it} - {body}
+
+    def _beyond(self, body: int, anchor: Array) -> float:
+        """Return how far the shapes on a body reach beyond a place on it, from its origin [m]."""
+        model = self._model
+        origin = self._data.xpos[body]
+        own = [body in self._above(int(k)) for k in model.geom_bodyid]
+        away = lengths(self._data.geom_xpos[own] - origin) + model.geom_rbound[own]
+        return float(away.max(initial=0.0) - math.dist(anchor, origin))
+
+    def _traits(self, joints: list[int]) -> "_Traits":
+        """Return what joints are and carry."""
+        model = self._model
+        bars = self.bars()
+        inner = {*model.body_parentid.tolist()}
+        ends = [self._above(k) for k in range(model.nbody) if k not in inner]
+        carried = set[int]().union(*(end for end in ends if bars.isdisjoint(end)))
+        bodies = model.jnt_bodyid[joints].tolist()
+        moves_tip = [body in carried for body in bodies]
+        above = [self._above(body) for body in bodies]
+        is_slide = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        return _Traits(
+            [self._names[joint] for joint in joints],
+            is_slide.tolist(),
+            moves_tip,
+            [
+                {
+                    i
+                    for i, other in enumerate(bodies)
+                    if not (moves_tip[k] or moves_tip[i])
+                    and (other in above[k] or body in above[i])
+                }
+                for k, body in enumerate(bodies)
+            ],
+        )
+
+    def _above(self, body: int) -> set[int]:
+        """Return a body and those that carry it, without the world."""
+        found = set[int]()
+        while body:
+            found.add(body)
+            body = int(self._model.body_parentid[body])
+        return found
 
     def _residual(
         self, joints: list[int], constraints: list[int], q: Array
@@ -217,28 +372,124 @@ class _Constraints:
         return rows[:, 0], rows[:, 1:]
 
 
-def _followed(
-    residual: _Residual, start: Array, grid: Array, freedom: int
-) -> Iterator[Array]:
-    """Iterate over closed postures, both ways from the place on the grid that is nearest."""
-    nearest = np.abs(grid - start[0]).argmin()
-    for way in (grid[nearest:], grid[:nearest][::-1]):
-        q = start
-        for position in way:
-            near = np.array([position, *q[1:]])
-            closed = _closed(residual, near, freedom)
-            if closed is None:
+class _Traits(NamedTuple):
+    """Joints of a loop.
+
+    Attributes:
+        names: Their names.
+        slides: Whether each is a slide.
+        moves_tip: Whether each carries the end of a finger.
+        mates: Places of those of the same bar as each.
+    """
+
+    names: list[str]
+    slides: list[bool]
+    moves_tip: list[bool]
+    mates: list[set[int]]
+
+
+class _Fit:
+    """The lines of a loop for one choice of what leads.
+
+    Args:
+        loop: The loop.
+        leaders: Places of the joints that lead.
+        traits: The joints.
+
+    Attributes:
+        is_wide: Whether the loop closes in a part of each leader's range.
+    """
+
+    def __init__(self, loop: ClosedLoop, leaders: list[int], traits: _Traits) -> None:
+        self._leaders = leaders
+        self._start = loop.start
+        self._traits = traits
+        self._limits = loop.limits
+        own_limits = loop.limits[:, leaders]
+        around = loop.start[leaders] + np.array([[-1.0], [1.0]])
+        # Of joints without limits, one radian to both sides.
+        wanted = np.where(np.isfinite(own_limits), own_limits, around)
+        self._wanted = wanted
+        least = _LEAST_CLOSED * np.ptp(wanted, axis=0)
+        # Limits that leave almost no range contradict the constraints.
+        for is_bounded in (True, False):
+            postures = loop.postures(leaders, wanted, is_bounded=is_bounded)
+            own = postures[:, leaders]
+            self._reached = np.array([own.min(axis=0), own.max(axis=0)]).clip(*wanted)
+            self.is_wide = bool((np.ptp(self._reached, axis=0) >= least).all())
+            if self.is_wide:
                 break
-            q = closed
-            yield q
+        self._lines: dict[int, Line] = {
+            k: best_line(own, postures[:, k])
+            for k in range(len(loop.start))
+            if k not in leaders
+        }
+        bad = {*filter(self._is_far, self._lines)}
+        # A bar of which one joint is held moves no other one either.
+        self._held = {
+            k for k in self._lines if k in bad or not bad.isdisjoint(traits.mates[k])
+        }
 
+    def _is_far(self, k: int) -> bool:
+        """Return whether a follower is too far from its line."""
+        line = self._lines[k]
+        share = _LARGEST_SHARE if self._traits.moves_tip[k] else 0.0
+        return line.error > max(_LARGEST_ERROR, share * line.width)
 
-def _closed(residual: _Residual, q: Array, first: int) -> Array | None:
-    """Find a posture near another that satisfies constraints by the joints from `first`."""
-    q = q.copy()
-    for _ in range(_ITERATIONS):
-        gap, slopes = residual(q)
-        if np.abs(gap).max() < 1e-6 * _CLOSED:
-            break
-        q[first:] -= np.linalg.lstsq(slopes[:, first:], gap, rcond=_RANK)[0]
-    return q if np.abs(gap).max() < _CLOSED else None
+    @property
+    def badness(self) -> tuple[bool, int, int]:
+        """How much is lost: ranges, followers that move a fingertip, and others."""
+        fingers = sum(self._traits.moves_tip[k] for k in self._held)
+        return not self.is_wide, fingers, len(self._held)
+
+    def couplings(self) -> Couplings:
+        """Return rules, ranges and notes."""
+        limits = self._limits
+        names = self._traits.names
+        heads = [names[k] for k in self._leaders]
+        found = Couplings({}, {}, set(), [], [], [])
+        for k, line in self._lines.items():
+            still = MimicSpec("", 0.0, float(self._start[k]))
+            # Without freedom, nothing leads, and nothing moves.
+            if not heads or k in self._held:
+                found.rules[names[k]] = still
+            elif self._contradicts(line, limits[:, k]):
+                self._hold(k, line, limits[:, k], found)
+            else:
+                rule = MimicSpec(heads[line.leader], line.multiplier, line.offset)
+                found.rules[names[k]] = rule
+                if line.error > _NO_ERROR:
+                    error = f"{math.degrees(line.error):.2g} deg"
+                    if self._traits.slides[k]:
+                        error = f"{1e3 * line.error:.2g} mm"
+                    fit = f"{names[k]} follows {rule.joint} within {error}"
+                    found.fits.append(fit)
+        if heads and self._held:
+            held = ", ".join(names[k] for k in sorted(self._held))
+            found.held.append(f"{held}, which follow {' and '.join(heads)}")
+        ends = zip(heads, self._wanted.T, self._reached.T, strict=True)
+        for head, wanted, reached in ends:
+            if np.abs(wanted - reached).max() > _LEAST_SHARE * np.ptp(wanted):
+                low, high = reached.tolist()
+                found.ranges[head] = low, high
+        return found
+
+    def _contradicts(self, line: Line, limits: Array) -> bool:
+        """Return whether limits leave a leader almost no range in which a follower keeps them."""
+        ends = self._reached[:, line.leader]
+        if line.multiplier == 0.0:
+            return abs(line.offset - np.clip(line.offset, *limits)) > _LARGEST_ERROR
+        low, high = np.sort((limits - line.offset) / line.multiplier).clip(*ends)
+        return high - low < _LEAST_SHARE * np.ptp(ends)
+
+    def _hold(self, k: int, line: Line, limits: Array, found: Couplings) -> None:
+        """Hold a follower where its limits are nearest to its line."""
+        name = self._traits.names[k]
+        head = self._traits.names[self._leaders[line.leader]]
+        middle = line.multiplier * self._reached[:, line.leader].mean() + line.offset
+        at = float(middle.clip(*limits))
+        found.rules[name] = MimicSpec("", 0.0, at)
+        found.notes.append(
+            f"{name} is held at {at:.4g}: {line.multiplier:.4g} * {head} + {line.offset:.4g}, as "
+            f"constraints couple it, is outside of its limits [{limits[0]:.4g}, {limits[1]:.4g}]"
+        )

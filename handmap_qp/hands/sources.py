@@ -26,6 +26,16 @@ from handmap_core.errors import (
 )
 from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
+_POINTER = b"version https://git-lfs.github.com/spec/"
+# Beginnings of files that are no robot, and what to do about each.
+_OTHER_KINDS = {
+    _POINTER: "is a pointer of git-lfs in place of a file: run `git lfs pull` in its repository",
+    b"PXR-USDC": "is USD, which is not read: export the robot as URDF, or give the URDF or MJCF "
+    "that the USD was made from",
+    b"PK\x03\x04": "is an archive: unpack it, and give the URDF or MJCF inside",
+    b"<!DOCTYPE html": "is a web page: download the raw file that it shows",
+}
+_OTHER_KINDS |= {b"#usda": _OTHER_KINDS[b"PXR-USDC"]}
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")
 
@@ -211,6 +221,30 @@ def _meshes_near(folder: Path) -> dict[str, Path]:
     files = [file for each in named for file in each.rglob("*.*")]
     files.sort(key=lambda file: -len(file.parts))
     return {file.name: file for file in files}
+
+
+def other_kind(content: bytes) -> str:
+    """Return what a file is, by its first bytes, and what to do; empty if it may be a robot."""
+    if not content.strip():
+        return "is empty"
+    begins = content.lstrip()[: max(map(len, _OTHER_KINDS))].lower()
+    return next(
+        (
+            what
+            for first, what in _OTHER_KINDS.items()
+            if begins.startswith(first.lower())
+        ),
+        "",
+    )
+
+
+def is_lfs_pointer(file: Path) -> bool:
+    """Return whether a pointer of git-lfs is in the place of a file; False if there is none."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(len(_POINTER)) == _POINTER
+    except (OSError, ValueError):  # ValueError: a null character in the path
+        return False
 
 
 def root_tag(content: bytes) -> str:

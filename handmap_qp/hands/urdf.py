@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from handmap_core.errors import HandError
 from handmap_core.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
-from .sources import find_mesh, read_urdf, urdf_path
+from .sources import find_mesh, other_kind, read_urdf, urdf_path
 from .spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Positions, Rules, repeated
 
 MOVABLE = ("revolute", "continuous", "prismatic")
@@ -30,6 +30,8 @@ FASTEST_SPEEDS = {"revolute": 20.0, "prismatic": 1.0}
 The fastest joints that makers of hands name do 14.4 rad/s (XHand1's URDF) and 0.25 m/s (Robotiq's
 manual of the 2F-140).
 """
+LOOP_END = "loop_end"
+"""Element of a link that a constraint of an MJCF joins to another one: a bar, and no finger."""
 _FREE = ("planar", "floating")
 _KINDS = (*MOVABLE, "fixed", *_FREE)
 _DEFAULT_AXIS = "1 0 0"
@@ -41,9 +43,10 @@ NO_LIMIT = 1e6
 _NUMBERS = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
-    "limit": {"lower": 1, "upper": 1, "velocity": 1},
+    "limit": {"lower": 1, "upper": 1, "velocity": 1, "effort": 1},
     "mimic": {"multiplier": 1, "offset": 1},
 }
+_XACRO = "xacro:"
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
 
 
@@ -74,6 +77,8 @@ def parse_urdf(text: str | bytes) -> Element:
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
     """
+    if kind := other_kind(text.encode() if isinstance(text, str) else text):
+        raise HandError(f"the file {kind}")
     builder = TreeBuilder()
     parser = expat.ParserCreate()
     parser.StartElementHandler = builder.start
@@ -85,21 +90,37 @@ def parse_urdf(text: str | bytes) -> Element:
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise HandError(f"the URDF is not valid XML: {error}") from error
     robot = builder.close()
+    if problem := _xacro_problem(robot):
+        raise HandError(problem)
     for element in [*robot.iter()]:
         # Of a link with half of one, Pinocchio's parser would drop the shapes too.
         for inertial in element.findall("inertial"):
             if inertial not in element.findall("inertial[mass][inertia]"):
                 element.remove(inertial)
-        if element.tag.startswith("xacro:"):
-            message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
-            raise HandError(message)
         element.tag = element.tag.replace(":", "_")
         element.attrib = {k: v for k, v in element.attrib.items() if ":" not in k}
     if robot.tag != "robot":
-        raise HandError(
-            f"expected a URDF with the root <robot>, got <{robot.tag}>", value=robot.tag
-        )
+        problem = f"expected a URDF with the root <robot>, got <{robot.tag}>"
+        if robot.tag == "mujoco":
+            problem += ": an MJCF file's name has to end in .xml"
+        raise HandError(problem, value=robot.tag)
     return robot
+
+
+def _xacro_problem(robot: Element) -> str:
+    """Return what to do about a file of xacro; empty for a URDF."""
+    tags = {element.tag for element in robot.iter()}
+    if not any(tag.startswith(_XACRO) for tag in tags):
+        return ""
+    macros = [macro.get("name", "") for macro in robot.iter(f"{_XACRO}macro")]
+    is_called = any(f"{_XACRO}{name}" in tags for name in macros)
+    if not macros or is_called or robot.find("link") is not None:
+        return "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
+    names = ", ".join(macros[:6])
+    return (
+        f"the file only defines xacro macros, {names}, and calls none: convert a file that calls "
+        f"one. Such a file has <xacro:include filename='FILE'/> and <xacro:{macros[0]} .../>"
+    )
 
 
 # -- numbers of elements
@@ -285,22 +306,31 @@ def check_tree(robot: Element) -> None:
     """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
 
     Raises:
-        HandError: On duplicate names, missing links, loops, several roots, too long a chain, other
-            attributes than numbers, unknown joint types, or no joint that moves.
+        HandError: On missing or duplicate names, missing links, loops, several roots, too long a
+            chain, other attributes than numbers, unknown joint types, or no joint that moves.
     """
     links = link_names(robot)
     joints = [*robot.iterfind("joint")]
     ends = [(parent, child) for _, parent, child in edges(robot)]
     unknown = [link for link in chain(*ends) if link not in links]
+    _reject(
+        "has a {} without a name",
+        [e.tag for e in robot if e.tag in ("link", "joint") and not e.get("name")],
+    )
     _reject("has two links {!r}", repeated(links))
     _reject("has two joints {!r}", repeated([j.get("name", "") for j in joints]))
     _reject("has a joint with the link {!r}, which it does not have", unknown)
     children = repeated([child for _, child in ends])
     _reject("is not a tree: the link {!r} is the child of two joints", children)
     roots = root_links(robot)
+    if not links:
+        advice = "if xacro made it, convert a file that calls the robot's macro"
+        raise HandError(f"the URDF has no links: {advice}")
     if len(roots) != 1:
-        message = f"{len(roots)} roots, expected one: {', '.join(roots[:6])}"
-        raise HandError(f"the URDF has {message}", value=roots)
+        first = f": {', '.join(roots[:6])}" if roots else ""
+        advice = "join all links to one tree, or leave out what is no part of the robot"
+        problem = f"the URDF has {len(roots)} roots, expected one{first}; {advice}"
+        raise HandError(problem, value=roots)
     levels = [*_levels(robot, roots)]
     if len(levels) > _DEEPEST:
         message = f"a chain of {len(levels)} links ends at {levels[-1][0]!r}"
@@ -309,7 +339,8 @@ def check_tree(robot: Element) -> None:
     names = ", ".join(apart[:6])
     _reject(f"is not a tree: loops contain or carry {names}", apart)
     if {_checked_kind(joint) for joint in joints}.isdisjoint(MOVABLE):
-        raise HandError("the URDF has no joint that moves")
+        count = f": all {len(joints)} joints are fixed" if joints else ""
+        raise HandError(f"the URDF has no joint that moves{count}")
 
 
 def _reject(message: str, culprits: Sequence[object]) -> None:
@@ -413,8 +444,12 @@ def _complete_limits(joint: Element, limits: LimitSpec) -> None:
     set_numbers(element, **{k: v for k, v in given.items() if v is not None})
     if not {"lower", "upper"} & element.attrib.keys():
         set_numbers(element, lower=-NO_LIMIT, upper=NO_LIMIT)
-    for key in ("velocity", "effort"):
-        element.attrib.setdefault(key, "0")
+    element.attrib.setdefault("velocity", "0")
+    # Written for none: -1, infinity.
+    effort = float(element.get("effort", 0.0))
+    if not 0.0 <= effort < math.inf:
+        effort = 0.0
+    set_numbers(element, effort=effort)
 
 
 def lock_joints(robot: Element, positions: Positions) -> Positions:

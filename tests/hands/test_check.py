@@ -52,7 +52,7 @@ FAULTS = {
         "'c' is the child of two joints",
     ),
     "two roots": (robot("abc", joint("j", "a", "b")), "2 roots, expected one: a, c"),
-    "no link": (robot(""), "0 roots, expected one"),
+    "no link": (robot(""), "no links: if xacro made it"),
     "loop": (
         robot("ab", joint("j", "a", "b"), joint("k", "b", "a")),
         "0 roots, expected one",

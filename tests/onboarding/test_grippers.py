@@ -184,13 +184,16 @@ def test_jaws_without_a_length_close(tmp_path: Path) -> None:
     assert (shut.command.q > wide.command.q + 0.01).all()
 
 
-def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
+def test_what_no_motor_moves_is_held(tmp_path: Path) -> None:
+    """With its elbows held, the gripper is the one without them."""
     converted = _converted(tmp_path, _gripper(elbow=ELBOW))
-    assert (
-        "2 connect constraint(s) that a URDF cannot express are left out"
-        in converted.notes
-    )
-    assert converted.text.count("<mimic") == 1
+    for elbow in ("joint3", "joint7"):
+        assert f"{elbow} is held at 0, because no motor moves it" in converted.notes
+    with_elbows = detect(tmp_path / "gripper.urdf", converted.text).spec
+    text = _converted(tmp_path, _gripper()).text
+    plain = detect(tmp_path / "gripper.urdf", text).spec
+    assert with_elbows.joints == plain.joints
+    assert with_elbows.locked == {"joint3": 0.0, "joint7": 0.0}
 
 
 def _one_jaw(jaw: str, *, has_shapes: bool) -> str:

@@ -99,8 +99,12 @@ def _meshes(solid: ET.Element, miss: Callable[[str], object]) -> list[Any]:
             except Exception:
                 miss(Path(name).name)
                 return []
+            solids = [each for each in found if len(each.faces)]
+            # Other files with the name of a mesh are read as one without faces.
+            if not solids:
+                miss(Path(name).name)
             # Faces of a mirrored mesh are turned over.
-            return [each.apply_scale(scale) for each in found if len(each.faces)]
+            return [each.apply_scale(scale) for each in solids]
     return []
 
 

@@ -53,11 +53,13 @@ def described(found: Detection, source: RobotSource) -> Detection:
     way = ~hand.moves_wrist * (hand.zero - hand.rest)
     postures = hand.rest + np.linspace(0.0, 1.0, 5)[:, None] * way
     doubts = [*check_fist(hand)]
-    thumb = find_fingers(hand)[THUMB].own
+    # A hand of one finger has none.
+    thumb = [finger.own for name, finger in find_fingers(hand).items() if name == THUMB]
+    own = {*chain(*thumb)}
 
     def is_free(q: Array) -> bool:
-        met = chain(*colliding_links(hand, q))
-        return not any(hand.frames[link].parentJoint in thumb for link in met)
+        met = chain(*colliding_links(hand, q)) if own else ()
+        return not any(hand.frames[link].parentJoint in own for link in met)
 
     with suppress(HandError):
         if ((q := next(filter(is_free, postures), hand.rest)) != hand.rest).any():

@@ -1,11 +1,13 @@
 """Describe the hand or the hands of a URDF or MJCF file in files: `init_hands`."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from msgspec.structs import replace
 
-from handmap_core.errors import expect
+from handmap_core.errors import HandError, expect
 from handmap_qp.hands import Hand, Names, Side, load_hand, load_robot
 from .detect import Detection, detect_hands
 from .edit import described
@@ -104,29 +106,30 @@ def init_hands(
     check_free(chosen, overwrite=overwrite or out is None)
     if speed is not None:
         expect(speed > 0.0, "speed", "a speed > 0", value=speed)
-    source = open_source(Path(robot), chosen.parent, overwrite=overwrite)
-    found = detect_hands(
-        source.urdf, root=root, base=base, side=side, thumb=thumb, name=name
-    )
-    is_robot = len(found) > 1
-    if is_robot:
-        name = name or found[0].spec.name.removesuffix("_left")
-        found = [_renamed(one, f"{name}_{one.spec.side}") for one in found]
-        file = chosen.with_name(_ROBOT_FILE)
-        files = [chosen.with_name(f"{one.spec.side}.yaml") for one in found]
-    else:
-        name = found[0].spec.name
-        file = chosen
-        files = [chosen]
-    for one in {file, *files}:
-        check_free(one, overwrite=overwrite)
-    # Both are complete before one is written.
-    complete = [_completed(one, source, speed) for one in found]
-    for detection, each in zip(complete, files, strict=True):
-        write_hand(detection, each)
-    if is_robot:
-        write_robot(name, file)
-        load_robot(file)
+    with _named(Path(robot), chosen.parent):
+        source = open_source(Path(robot), chosen.parent, overwrite=overwrite)
+        found = detect_hands(
+            source.urdf, root=root, base=base, side=side, thumb=thumb, name=name
+        )
+        is_robot = len(found) > 1
+        if is_robot:
+            name = name or found[0].spec.name.removesuffix("_left")
+            found = [_renamed(one, f"{name}_{one.spec.side}") for one in found]
+            file = chosen.with_name(_ROBOT_FILE)
+            files = [chosen.with_name(f"{one.spec.side}.yaml") for one in found]
+        else:
+            name = found[0].spec.name
+            file = chosen
+            files = [chosen]
+        for one in {file, *files}:
+            check_free(one, overwrite=overwrite)
+        # Both are complete before one is written.
+        complete = [_completed(one, source, speed) for one in found]
+        for detection, each in zip(complete, files, strict=True):
+            write_hand(detection, each)
+        if is_robot:
+            write_robot(name, file)
+            load_robot(file)
     hands = tuple(
         DescribedHand(each, load_hand(each), detection.clues, detection.notes)
         for detection, each in zip(complete, files, strict=True)
@@ -134,6 +137,22 @@ def init_hands(
     # What lies beside the description is a file, and not that which was given.
     is_converted = source.reference == str(source.urdf) != str(robot)
     return InitResult(name, file, hands, source.urdf if is_converted else None)
+
+
+@contextmanager
+def _named(robot: Path, folder: Path) -> Iterator[None]:
+    """Name the file that was given in an error of what was found in it.
+
+    Args:
+        robot: The file.
+        folder: Where an MJCF file is converted to.
+    """
+    try:
+        yield
+    except HandError as error:
+        if error.file in (None, folder / f"{robot.stem}.urdf"):
+            error.file = robot
+        raise
 
 
 def _renamed(found: Detection, name: str) -> Detection:

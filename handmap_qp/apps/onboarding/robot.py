@@ -8,6 +8,7 @@ written to the `hand.yaml` for its owner to correct.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache, partial
 from itertools import chain, compress
 from pathlib import Path
@@ -20,6 +21,7 @@ from handmap_core.se3 import Array, box_of, inverse_pose, lengths, transform_poi
 from handmap_qp.apps.drawing import shape_meshes
 from handmap_qp.hands import (
     MOVABLE,
+    NO_LIMIT,
     USUAL_SPEEDS,
     Hand,
     HandSpec,
@@ -32,6 +34,7 @@ from handmap_qp.hands import (
     cut_subtree,
     edges,
     fix_free_joints,
+    is_lfs_pointer,
     joints_by_name,
     mimics_of,
     parse_urdf,
@@ -134,7 +137,7 @@ class Robot(Hand):
         active = tuple(name for name in joints if name not in still)
         if not active:
             problem = f"no movable joint hangs from the link {self.root!r}"
-            raise self.error(problem, self.root)
+            raise self.error(problem + _locked_advice(locked), self.root)
         return HandSpec(
             name=robot.get("name") or self.file.stem,
             urdf=str(self.file),
@@ -162,6 +165,11 @@ class Robot(Hand):
             each = f" ({len(subjects)}): each" * (len(subjects) > 1)
             found.append(f"{first_of([*subjects], _MOST_NAMES)}{each} {what}")
         return [*found, *self.notes]
+
+    @property
+    def locked_advice(self) -> str:
+        """What to do about joints with equal limits; empty if there are none."""
+        return _locked_advice(self.spec.locked)
 
     def error(self, problem: str, value: object = None) -> HandError:
         """Return an error about the robot, with its file."""
@@ -215,14 +223,22 @@ class Robot(Hand):
 
     def clouds(self, link: str, kind: str) -> list[Array]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
-        miss = partial(
-            self._remark, what="is a lost mesh: a simple shape stands for it"
-        )
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
             for shape in self.elements[link].iterfind(kind)
-            for mesh in shape_meshes(shape, miss)
+            for mesh in shape_meshes(shape, partial(self._miss, shape))
         ]
+
+    def _miss(self, shape: Element, name: str) -> None:
+        """Remark that the mesh of a shape cannot be read."""
+        files = [Path(mesh.get("filename", "")) for mesh in shape.iter("mesh")]
+        what = "is a lost mesh: a simple shape stands for it"
+        if any(map(is_lfs_pointer, files)):
+            what = (
+                "is a pointer of git-lfs in place of a mesh: run `git lfs pull` in its repository; "
+                "a simple shape stands for it"
+            )
+        self._remark(name, what)
 
     # -- assumptions
 
@@ -232,9 +248,11 @@ class Robot(Hand):
         """Assume limits that are missing or wrong, and lock joints with equal ones; by joint."""
         given = {name: _limits(joint) for name, joint in joints.items()}
         turns = [
-            high - low for kind, low, high, _ in given.values() if kind == "revolute"
+            high - low
+            for kind, low, high, _ in given.values()
+            if kind == "revolute" and math.isfinite(high - low)
         ]
-        in_degrees = bool(np.nanmedian(turns or 0.0) > _LARGEST_TURN)
+        in_degrees = bool(np.median(turns or 0.0) > _LARGEST_TURN)
         limits = dict[str, LimitSpec]()
         locked = dict[str, float]()
         for name, (kind, low, high, given_speed) in given.items():
@@ -257,6 +275,14 @@ class Robot(Hand):
             if speed or ends:
                 limits[name] = LimitSpec(*ends, velocity=speed)
         return limits, locked
+
+
+def _locked_advice(locked: Mapping[str, float]) -> str:
+    """Return what to do about joints that do not move because their limits are equal."""
+    if not locked:
+        return ""
+    names = first_of([*locked], _MOST_NAMES)
+    return f"; the limits of {names} are equal: give lower < upper in the file"
 
 
 def _read(file: Path, text: str | bytes | None) -> str | bytes:
@@ -282,7 +308,7 @@ def _assumed_range(
     kind: str, lower: float, upper: float, *, in_degrees: bool
 ) -> tuple[tuple[float, ...], str]:
     """Return a range in place of the URDF's if need be, and a remark if that is suspicious."""
-    if not math.isfinite(upper - lower):
+    if not max(abs(lower), abs(upper)) < NO_LIMIT:
         ends = _ASSUMED_RANGE[kind]
         what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
     elif lower > upper:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
-from handmap_qp.hands import Finger, ends_of, origin_of
+from handmap_qp.hands import LOOP_END, Finger, ends_of, origin_of
 from .limbs import is_limb, names_hand
 from .robot import Robot
 
@@ -27,6 +27,8 @@ _LEAST_TIP = 0.005
 # An end frame is the fingertip up to this far inside the end of the surface, or beyond it [m].
 _INSIDE = 0.005
 _IN_THE_AIR = 0.012
+# A surface whose farthest points have a centre this near to the joint lies around it [sizes].
+_AROUND = 0.05
 # An end frame this near to the centre of a ball is its centre, and the largest such ball [m].
 _AT_CENTRE = 0.001
 _LARGEST_BALL = 0.015
@@ -35,6 +37,10 @@ _LINKAGE_SLACK = 0.004
 # A bar turns this far about its pivot [rad], which is this share of its length off its joint.
 _LEAST_PIVOT = 0.1
 _PIVOT_SHARE = 0.4
+# A bar ends this near to the box around a link of a finger [m], and this far from its tip [lengths
+# of the bar].
+_ON = 0.005
+_OFF_TIP = 0.3
 # The tip of a jaw opens by the first, and closes to within the second [m].
 _OPEN = 0.02
 _CLOSED = 0.015
@@ -227,7 +233,8 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> _Hand:
         ]
         fingers = [finger for finger in fingers if not faults[finger]]
     if not fingers:
-        raise robot.error("no branch of the palm moves its end")
+        problem = f"no branch of the palm moves its end{robot.locked_advice}"
+        raise robot.error(problem)
     _check_one_hand(robot, fingers)
     how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
     return fingers, notes, how, 0.95 if len(fingers) > 2 else 0.85
@@ -245,7 +252,7 @@ def _one_finger(robot: Robot) -> _Hand:
         if finger.length > 10.0:
             hint = "; are its lengths in millimetres?"
         problem = f"no hand found from {robot.root!r} outwards: {what}{hint}"
-        raise robot.error(problem, robot.root)
+        raise robot.error(problem + robot.locked_advice, robot.root)
     note = "there is only one finger, so the dorsal direction and the side are guesses"
     return [finger], [note], "the link from which the only chain starts", 0.5
 
@@ -312,6 +319,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
     size = sizes.max(initial=0.0)
+    before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
     # Of links that carry no other one.
     ends = [
         (lengths(robot.frames[end].placement.translation), end)
@@ -323,23 +331,43 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
         return Clue("tip", far, how, 0.95), np.zeros(3)
     if size > _LEAST_TIP:
-        # The centre of the outermost slice lies on the finger's axis, not on its skin.
-        middle = cloud[sizes > 0.95 * size].mean(axis=0)
-        for _ in range(2):
-            along = cloud @ middle
-            outermost = cloud[along > 0.85 * along.max()]
-            middle = box_of(outermost).mean(axis=0)
-        middle *= (cloud @ middle).max() / (middle @ middle)
+        middle, is_around = _far_end(cloud, -before)
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
-        return Clue("tip", link, how, 0.8), middle
+        if is_around:
+            how = f"the end of the surface of {link}, which lies all around the last joint"
+        return Clue("tip", link, how, 0.3 if is_around else 0.8), middle
     how = f"{link} has no surface and no end frame"
-    before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
     # A first joint without shapes, and not with lost ones, is a motor.
     parts = [*joints[1:], *robot.elements[link].iterfind("visual")]
     if parts and _LEAST_TIP < lengths(before) < LONGEST_FINGER:
         how += ": 0.8 of the previous link's length"
         return Clue("tip", link, how, 0.3), -0.8 * before
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
+
+
+def _far_end(cloud: Array, ahead: Array) -> tuple[Array, bool]:
+    """Return the end of a surface that is farthest from the origin.
+
+    Args:
+        cloud: Points of the surface [m], shape (k, 3).
+        ahead: Direction from the joint before, shape (3,): that of the end of a surface which lies
+            all around the origin, such as a cube.
+
+    Returns:
+        The centre of its outermost slice, which lies on a finger's axis and not on its skin [m],
+        shape (3,); and whether the surface lies all around.
+    """
+    sizes = lengths(cloud)
+    size = sizes.max()
+    middle = cloud[sizes > 0.95 * size].mean(axis=0)
+    is_around = bool(lengths(middle) < _AROUND * size)
+    if is_around:
+        middle = ahead if lengths(ahead) > _LEAST_TIP else cloud[sizes.argmax()]
+    for _ in range(2):
+        along = cloud @ middle
+        outermost = cloud[along > 0.85 * along.max()]
+        middle = box_of(outermost).mean(axis=0)
+    return middle * (cloud @ middle).max() / (middle @ middle), is_around
 
 
 def _is_at_end(robot: Robot, end: str, cloud: Array) -> bool:
@@ -393,15 +421,43 @@ def _second_end(finger: RobotFinger, fingers: list[RobotFinger]) -> str:
 
 
 def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
-    """Return what is wrong with a bar: hinged to a finger that the same joints drive."""
+    """Return what is wrong with a bar: hinged to a finger that the same joints drive.
+
+    A file of MuJoCo says what closes a loop.
+    """
+    links = [bar.robot.elements[link] for link in bar.robot.links[bar.joints[-1]]]
+    if any(link.find(LOOP_END) is not None for link in links):
+        return "a bar that closes a loop, so not a finger"
     for host in fingers:
         if (
             len(host.joints) > len(bar.joints)
             and {*host.columns} >= {*bar.columns}
-            and any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
+            and (
+                _ends_on(bar, host)
+                or any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
+            )
         ):
             return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
     return ""
+
+
+def _ends_on(bar: RobotFinger, host: RobotFinger) -> bool:
+    """Return whether a bar's end at rest lies on a later body of a finger, and not at its tip.
+
+    A coupling that a description gives is often too rough for a bar to stay hinged.
+    """
+    robot = bar.robot
+    body = robot.links[host.joints[-1]][0]
+    tip = transform_points(robot.pose_in(bar.links[-1], body), bar.tip[1])
+    if lengths(tip - host.tip[1]) < _OFF_TIP * bar.length:
+        return False
+    for joint in host.joints[1:]:
+        cloud = robot.surface(joint)
+        pose = robot.pose_in(bar.links[-1], robot.links[joint][0])
+        place = transform_points(pose, bar.tip[1])
+        if len(cloud) and lengths(place - place.clip(*box_of(cloud))) < _ON:
+            return True
+    return False
 
 
 def _is_hinged(bar: RobotFinger, poses: Array) -> bool:

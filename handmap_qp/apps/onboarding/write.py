@@ -111,7 +111,7 @@ def open_source(
         robot: A URDF or MJCF file, `package://PACKAGE/path`, or `robot_descriptions:MODULE`.
         folder: Folder of the `hand.yaml`. The URDF and the meshes of an MJCF file are written
             beside it; into the user's cache if omitted, and `hand.yaml` refers to the MJCF file.
-        overwrite: Whether to replace a URDF that is there.
+        overwrite: Whether to replace another URDF that is there.
 
     Raises:
         HandError: If there is no such robot, or it cannot be converted.
@@ -133,8 +133,10 @@ def open_source(
         urdf = mjcf.cached_urdf(path)
         return RobotSource(urdf, named, converted.notes, converted.speeds)
     urdf = folder / f"{path.stem}.urdf"
-    _check_new(urdf, overwrite=overwrite)
     converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
+    # One that was written before the hand in it was refused may stay.
+    if not urdf.is_file() or urdf.read_bytes() != converted.text.encode():
+        _check_new(urdf, overwrite=overwrite)
     difference = mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
         problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
