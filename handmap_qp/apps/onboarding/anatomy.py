@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_core.se3 import Array
 from handmap_qp.hands import THUMB, Side
 from .finger_names import named_fingers, named_side
 from .finger_order import name_fingers
@@ -41,6 +42,7 @@ class Parts(NamedTuple):
         names: Names of the joints and links of each finger.
         labels: The anatomical name in these, of each finger.
         flexion: How all fingers flex.
+        surface: Points of the palm's surface in its link's frame [m], shape (k, 3).
     """
 
     robot: Robot
@@ -50,6 +52,7 @@ class Parts(NamedTuple):
     names: list[list[str]]
     labels: list[str | None]
     flexion: HandFlexion
+    surface: Array
 
 
 def find_anatomy(
@@ -73,7 +76,8 @@ def find_anatomy(
     names = [[*finger.joint_names, *finger.links] for finger in fingers]
     labels = named_fingers(names)
     flexion = HandFlexion(robot, fingers, has_thumb=THUMB in labels)
-    parts = Parts(robot, palm, fingers, notes, names, labels, flexion)
+    surface = robot.palm_surface()
+    parts = Parts(robot, palm, fingers, notes, names, labels, flexion, surface)
     given = None if thumb is None else _given_thumb(parts, thumb)
     first = Anatomy(parts, side, paired, given)
     thumbs = [given] if given is not None else range(len(fingers) * (len(fingers) > 2))
@@ -139,7 +143,7 @@ class Anatomy:
         if thumb is not None:
             found_thumb = thumb
             clue = Clue("thumb", parts.names[thumb][-1], "as given", 1.0)
-        self._layout = layout = lay_out(flexion, labels, found_thumb)
+        self._layout = layout = lay_out(flexion, labels, found_thumb, parts.surface)
         self.others = layout.others
         distal = find_distal(layout)
         dorsal = find_dorsal(layout, distal)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_core.se3 import Array, lengths, transform_points
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -343,15 +343,13 @@ def _pad(robot: Robot, finger: RobotFinger) -> PadSpec | None:
 def _palm_origin(hand: Anatomy) -> Array:
     """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
     robot = hand.robot
-    palm = robot.palm_frame
     distal = hand.distal
     chosen = hand.others or slice(None)
     knuckles = hand.flexion.bases[chosen].mean(axis=0)
-    cloud = robot.surface(palm.parentJoint)
+    cloud = robot.palm_surface()
     back = knuckles @ distal
     how = "the origin of the palm's link"
     if len(cloud):
-        cloud = transform_points(palm.placement.inverse().homogeneous, cloud)
         back -= (cloud @ distal).min()
         how = "the proximal end of the palm's surface"
     how += ", behind the centre of the knuckles"

@@ -18,6 +18,7 @@ class Layout(NamedTuple):
         thumb: Index of the thumb; None of a hand with one finger.
         others: Indices of all fingers but the thumb.
         axis: Unit axis of flexion that these have in common, zero if there is none, shape (3,).
+        surface: Points of the palm's surface in its link's frame, if any [m], shape (k, 3).
     """
 
     flexion: HandFlexion
@@ -25,10 +26,14 @@ class Layout(NamedTuple):
     thumb: int | None
     others: list[int]
     axis: Array
+    surface: Array
 
 
 def lay_out(
-    flexion: HandFlexion, labels: Sequence[str | None], thumb: int | None
+    flexion: HandFlexion,
+    labels: Sequence[str | None],
+    thumb: int | None,
+    surface: Array,
 ) -> Layout:
     """Return the fingers about a thumb.
 
@@ -36,10 +41,12 @@ def lay_out(
         flexion: How all fingers flex.
         labels: The anatomical name in the names of each finger.
         thumb: Index of the thumb, if there are several fingers.
+        surface: Points of the palm's surface in its link's frame [m], shape (k, 3).
     """
     others = [i for i in range(len(labels)) if i != thumb]
     axes = flexion.axes[others]
     values, vectors = np.linalg.eigh(axes.T @ axes)
     # Jaws and hands with fingers all around have no common axis of flexion.
     has_axis = values[-1] > 0.8 * values.sum()
-    return Layout(flexion, labels, thumb, others, has_axis * vectors[:, -1])
+    axis = has_axis * vectors[:, -1]
+    return Layout(flexion, labels, thumb, others, axis, surface)

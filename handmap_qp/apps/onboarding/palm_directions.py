@@ -14,6 +14,15 @@ _AGREED = 0.85
 _AGREEING = 25.0
 # A thumb opposes the fingers' direction if the cosine between both is smaller.
 _OPPOSED = -0.5
+# The line from a hinge beside a fixed jaw to its end is at most this far off the jaw [deg], whose
+# surface is so many times longer than wide, and reaches at most this share of it beyond the end.
+# The hinge is at right angles to it within the last angle [deg].
+_OBLIQUE = 30.0
+_LONGER = 1.3
+_SHORT = 0.15
+_UPRIGHT = 8.0
+# A direction that is not known.
+_UNKNOWN = np.zeros(3)
 
 
 def find_distal(layout: Layout) -> Clue:
@@ -38,8 +47,12 @@ def find_distal(layout: Layout) -> Clue:
         mean = lengths(mean) * ahead
     across = beside(mean, axis)
     middle = knuckles.mean(axis=0)
+    reaching = _along_fixed_jaw(layout)
     mean = snapped(unit(across if lengths(across) > 0.2 else mean), middle, axis)
     how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
+    if reaching.any():
+        mean = reaching
+        how = "the way of the jaw that does not move, whose surface reaches farthest there"
     confidence = 0.4
     if agreement > _AGREED:
         # Jaws start anywhere: only with an axis of flexion is their direction exact.
@@ -56,6 +69,32 @@ def find_distal(layout: Layout) -> Clue:
         how += "; the thumb points the other way: the palm's direction may be better"
         confidence = DISPUTED
     return Clue("distal", mean, how, confidence)
+
+
+def _along_fixed_jaw(layout: Layout) -> Array:
+    """Return the link's axis along a jaw that is a part of the palm, zero if none is clear.
+
+    Where that jaw begins is not known. The other one's hinge is beside it, so that the line from
+    there is oblique. The jaw lies where its surface reaches farthest, in the plane in which the
+    other one opens.
+    """
+    flexion = layout.flexion
+    surface = layout.surface
+    fixed = np.flatnonzero(~flexion.moves.any(axis=1))
+    if not len(fixed) or not len(surface):
+        return _UNKNOWN
+    line = unit(beside(flexion.directions[fixed[0]], flexion.hinges[fixed[0]]))
+    nearest = np.abs(line).argmax()
+    ahead = np.sign(line[nearest]) * np.eye(3)[nearest]
+    sizes = np.ptp(surface, axis=0)
+    short = (surface @ ahead).max() - flexion.tips_open[fixed[0]] @ ahead
+    is_along = (
+        angle_between(line, ahead) < _OBLIQUE
+        and abs(angle_between(flexion.hinges[fixed[0]], ahead) - 90.0) < _UPRIGHT
+        and sizes[nearest] > _LONGER * np.delete(sizes, nearest).max()
+        and short < _SHORT * sizes[nearest]
+    )
+    return ahead if is_along else _UNKNOWN
 
 
 def find_dorsal(layout: Layout, distal: Clue) -> Clue:
