@@ -138,3 +138,18 @@ def test_each_kind_of_evidence_for_a_palm_counts() -> None:
     assert palm_evidence(["x"], ["head_yaw"]) < 0.0
     # Parts of words count for nothing.
     assert palm_evidence(["x"], ["overhead", "ship_rail", "alarm"]) == alone
+
+
+def test_what_is_passed_over_is_named_with_its_margin_and_how_to_choose_it() -> None:
+    arm, other = ("shoulder", "elbow", "x"), ("q", "y")
+    text = _robot((arm, _fork("x", ("jaw1", "jaw2"))), (other, _fork("y", PLAIN)))
+    found = detect(Path("x"), text)
+    (note,) = (note for note in found.notes if "no hand" in note)
+    assert "evidence 1.0, of the hand 5.0" in note
+    root = note.rpartition("--root ")[2]
+    other_hand = detect(Path("x"), text, root=root)
+    assert other_hand.spec.palm.link == "y"
+    assert not any("no hand" in note for note in other_hand.notes)
+    # A hand that nothing competes with has no such note.
+    alone = detect(Path("x"), _robot((arm, _fork("x"))))
+    assert not any("no hand" in note for note in alone.notes)

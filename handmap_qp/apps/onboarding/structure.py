@@ -114,6 +114,8 @@ class RobotFinger(Finger):
 
 _Hand = tuple[list[RobotFinger], list[str], str, float]
 """Fingers, notes, and evidence for the palm with the confidence in it."""
+_Scored = tuple[float, list[RobotFinger]]
+"""How much speaks for a body as a palm, and the chains that branch from it."""
 
 
 def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
@@ -153,7 +155,24 @@ def find_palms(robot: Robot) -> list[str]:
 def _hands(robot: Robot) -> list[list[RobotFinger]]:
     """Return the finger-like chains of each palm, or else each moving and fixed jaw."""
     jaws = (_jaws(robot, leaf) for leaf in robot.leaves(0))
-    return _branching(robot) or [*filter(None, jaws)]
+    return _branching(robot)[0] or [*filter(None, jaws)]
+
+
+def passed_over(robot: Robot) -> list[str]:
+    """Return notes on bodies with chains like fingers that have less evidence than the hands.
+
+    Each says how much less, and how it is described all the same.
+    """
+    taken, others = _branching(robot)
+    if not taken:
+        return []
+    best = max(map(_evidence, taken))
+    links = ((_palm_link(fingers), len(fingers), score) for score, fingers in others)
+    return [
+        f"the {count} chains at {link} are taken for no hand (evidence {score:.1f}, of the hand "
+        f"{best:.1f}): describe them with --root {link}"
+        for link, count, score in links
+    ]
 
 
 def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
@@ -182,8 +201,8 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     return [jaw, RobotFinger(robot, palm, palm, (tip, tips[gaps.argmin()]))]
 
 
-def _branching(robot: Robot) -> list[list[RobotFinger]]:
-    """Return the finger-like chains of each palm."""
+def _branching(robot: Robot) -> tuple[list[list[RobotFinger]], list[_Scored]]:
+    """Return the finger-like chains of each palm, and of bodies with less evidence."""
     found = {
         body: fingers
         for body in range(robot.model.njoints)
@@ -195,10 +214,11 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     palms = [body for body in found if starts.isdisjoint(supports[body])]
     bases = {*chain.from_iterable([*supports[palm]][:-1] for palm in palms)}
     hands = [found[palm] for palm in palms if palm not in bases]
-    scores = [_evidence(fingers) for fingers in hands]
+    scored = [(_evidence(fingers), fingers) for fingers in hands]
     # A hand's name, or the arm that carries it, tells a hand from a foot, a base or a mouth.
-    least = max(0.0, max(scores, default=0.0) - _BEHIND)
-    return [*compress(hands, (score > least for score in scores))]
+    least = max(0.0, max((score for score, _ in scored), default=0.0) - _BEHIND)
+    taken = [fingers for score, fingers in scored if score > least]
+    return taken, [one for one in scored if one[0] <= least]
 
 
 def _evidence(fingers: list[RobotFinger]) -> float:
