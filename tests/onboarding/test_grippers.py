@@ -9,8 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from box_hands import turns
 
 from handmap_core.ik.tasks import PointDistances
+from handmap_core.se3 import Array
 from handmap_qp import HandMapper
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.write import write_hand
@@ -257,6 +259,56 @@ def test_one_jaw_and_the_fixed_one_are_thumb_and_index(
         gaps.append(np.linalg.norm(np.subtract(*hand.points(step.command.q))))
     # Without shapes, pads are balls at the tips.
     assert gaps[1] < (0.6 if has_shapes else 0.9) * gaps[0]
+
+
+def _one_hinge(turn: Array, *, size: tuple[float, float, float]) -> str:
+    """Return an arm with a jaw hinged beside a fixed one, which lies along the arm's last link.
+
+    The hinge is 4 cm beside that link, and off its plane: the line to its end is oblique.
+
+    Args:
+        turn: Rotation of the arm, whose last link points along x, shape (3, 3).
+        size: That of its last link [m].
+    """
+
+    def text(*xyz: float) -> str:
+        return " ".join(map(str, turn @ xyz))
+
+    def box(place: tuple[float, float, float], size: tuple[float, float, float]) -> str:
+        sizes = " ".join(map(str, np.abs(turn) @ size))
+        return (
+            f'<visual><origin xyz="{text(*place)}"/>'
+            f'<geometry><box size="{sizes}"/></geometry></visual>'
+        )
+
+    return f"""<robot name="arm"><link name="base"/><link name="arm"/>
+      <joint name="lift" type="revolute"><parent link="base"/><child link="arm"/>
+        <axis xyz="{text(0.0, 1.0, 0.0)}"/>
+        <limit lower="-2" upper="2" effort="1" velocity="3"/></joint>
+      <link name="wrist">{box((0.06, -0.01, 0.0), size)}</link>
+      <link name="gripper">{box((0.04, -0.03, -0.01), (0.09, 0.01, 0.02))}</link>
+      <joint name="roll" type="revolute"><parent link="arm"/><child link="wrist"/>
+        <origin xyz="{text(0.4, 0.0, 0.0)}"/><axis xyz="{text(1.0, 0.0, 0.0)}"/>
+        <limit lower="-2" upper="2" effort="1" velocity="3"/></joint>
+      <joint name="gripper" type="revolute"><parent link="wrist"/><child link="gripper"/>
+        <origin xyz="{text(0.03, 0.03, 0.01)}"/><axis xyz="{text(0.0, 0.0, 1.0)}"/>
+        <limit lower="0" upper="1.4" effort="1" velocity="3"/></joint></robot>"""
+
+
+def test_a_fixed_jaw_points_along_its_own_surface_and_not_from_the_hinge() -> None:
+    for turn in turns():
+        found = detect(Path("x"), _one_hinge(turn, size=(0.12, 0.02, 0.02)))
+        palm = found.spec.palm
+        np.testing.assert_allclose(palm.distal, turn[:, 0], atol=1e-6)
+        # Either jaw may be the thumb, which is on the palm's side. The moving one opens to +y.
+        is_moving = "gripper" in found.chains["thumb"]
+        sense = -1.0 if is_moving else 1.0
+        np.testing.assert_allclose(palm.dorsal, sense * turn[:, 1], atol=1e-6)
+
+
+def test_a_block_has_no_long_side_that_tells_its_direction() -> None:
+    palm = detect(Path("x"), _one_hinge(np.eye(3), size=(0.12, 0.12, 0.02))).spec.palm
+    assert 5.0 < np.degrees(np.arccos(palm.distal[0])) < 60.0
 
 
 def test_a_wrist_is_no_jaw(tmp_path: Path) -> None:

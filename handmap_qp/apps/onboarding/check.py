@@ -37,10 +37,10 @@ from handmap_qp.hands import (
 )
 from handmap_qp.mapping import distance
 from handmap_qp.trackers import first_of
-from .anatomy import FINGERS, NARROW, Clue, angle_between
 from .collision_pairs import colliding_links
 from .detect import detect, left_out_wrist
 from .findings import MOST_NAMES, Found, HandFinding, HandReport, advice, fine, warning
+from .finger_order import FINGERS, NARROW
 from .measure import (
     check_arm,
     check_contacts,
@@ -56,6 +56,8 @@ from .measure import (
 )
 from .robot import Robot
 from .speeds import maker_speed
+from .structure import Clue
+from .vectors import angle_between
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5

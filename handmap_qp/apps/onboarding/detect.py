@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_core.se3 import Array, lengths, transform_points
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -29,7 +29,7 @@ from handmap_qp.hands import (
 )
 from .anatomy import Anatomy, find_anatomy
 from .robot import Robot
-from .structure import Clue, RobotFinger, find_palms, find_structure
+from .structure import Clue, RobotFinger, find_palms, find_structure, passed_over
 from .two_hands import PairedSide, paired_sides
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
@@ -191,12 +191,12 @@ def _detect(
     find_structure(robot)
     palm = robot.palm_frame.name
     joints, above = left_out_wrist(robot, palm)
-    notes = []
+    notes = passed_over(robot)
     if root is None and palm != robot.root:
         robot = Robot(urdf, text, root=palm)
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
-            notes = [f"{what}; keep them with --base {above}"]
+            notes.append(f"{what}; keep them with --base {above}")
     hand = find_anatomy(robot, side, thumb, paired)
     part = robot if base is None else Robot(urdf, text, root=base)
     spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
@@ -343,15 +343,13 @@ def _pad(robot: Robot, finger: RobotFinger) -> PadSpec | None:
 def _palm_origin(hand: Anatomy) -> Array:
     """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
     robot = hand.robot
-    palm = robot.palm_frame
     distal = hand.distal
     chosen = hand.others or slice(None)
     knuckles = hand.flexion.bases[chosen].mean(axis=0)
-    cloud = robot.surface(palm.parentJoint)
+    cloud = robot.palm_surface()
     back = knuckles @ distal
     how = "the origin of the palm's link"
     if len(cloud):
-        cloud = transform_points(palm.placement.inverse().homogeneous, cloud)
         back -= (cloud @ distal).min()
         how = "the proximal end of the palm's surface"
     how += ", behind the centre of the knuckles"

@@ -58,6 +58,7 @@ class HandFlexion:
         sign: Sense in which each joint flexes or closes a finger, 0 if it does not, shape (n,).
         slides: Which joints are those of jaws, or turn no fingertip, shape (n,).
         moves: Which joint moves which fingertip, shape (F, n).
+        hinges: Axis of each finger's first joint, in the palm link's frame, shape (F, 3).
         roots: Origin of each finger's first joint in the palm link's frame [m], shape (F, 3).
         bases: Knuckle of each finger: the point of the first flexing axis nearest to the tip, or
             the root of a finger without one, in the palm link's frame [m], shape (F, 3).
@@ -84,7 +85,7 @@ class HandFlexion:
         self._tips = [finger.tip for finger in fingers]
         zero = robot.zero
         # A fixed jaw starts where the moving one does, which comes first.
-        _, self.roots = self._view.axes(
+        self.hinges, self.roots = self._view.axes(
             zero, [(each.joints or fingers[0].joints)[0] for each in fingers]
         )
         self.bases = self.roots.copy()

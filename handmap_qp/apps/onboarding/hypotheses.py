@@ -13,6 +13,17 @@ from typing import NamedTuple
 
 from handmap_qp.hands import Side
 
+# Confidence with two kinds of evidence that agree, with one, and with two that disagree.
+CERTAIN = 0.95
+LIKELY = 0.75
+DISPUTED = 0.5
+CLEAR = 0.3
+"""Score margin of a clear answer."""
+VISIBLE = 0.1
+"""Score margin of an answer."""
+CLEAR_FLEXION = 0.9
+"""Ranges that show flexion with more confidence than this are clear."""
+
 
 @dataclass(frozen=True, slots=True)
 class Term:

@@ -34,11 +34,11 @@ from handmap_qp.mapping import (
     touching_distances,
 )
 from handmap_qp.trackers import first_of
-from .anatomy import angle_between
 from .collision_pairs import joined_notes
 from .findings import MOST_NAMES, Found, Rows, advice, fine, warning
 from .flexion import HandFlexion
 from .speeds import with_speed
+from .vectors import angle_between
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""

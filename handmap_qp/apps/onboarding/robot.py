@@ -204,6 +204,14 @@ class Robot(Hand):
 
     # -- surface
 
+    def palm_surface(self) -> Array:
+        """Return points of the surface of the palm's body in the palm link's frame [m], (k, 3)."""
+        palm = self.palm_frame
+        cloud = self.surface(palm.parentJoint)
+        if not len(cloud):
+            return cloud
+        return transform_points(palm.placement.inverse().homogeneous, cloud)
+
     def _surface(self, body: int) -> Array:
         """Read what `surface` keeps: the shapes that hang together with the joint's nearest one."""
         clouds = []

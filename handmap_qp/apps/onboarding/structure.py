@@ -1,7 +1,7 @@
 """Find the palm and the fingers, from the branches of a robot and their lengths.
 
-A branch of a body is *finger-like* if it is shorter than `LONGEST_FINGER`. The palm is the body
-with at least two finger-like branches. Bodies inside such branches that qualify too, such as a
+A branch of a body is *finger-like* by its length and names. The palm is the body with at least two
+finger-like branches and most evidence. Bodies inside such branches that qualify too, such as a
 metacarpal with two fingers, are not the palm.
 """
 
@@ -15,11 +15,9 @@ import pinocchio as pin
 
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
 from handmap_qp.hands import LOOP_END, Finger, ends_of, origin_of
-from .limbs import is_limb, names_hand
+from .limbs import LONGEST_FINGER, finger_evidence, palm_evidence
 from .robot import Robot
 
-LONGEST_FINGER = 0.3
-"""A longer branch is a leg or an arm [m]."""
 # A chain that moves its end by less than this is a motor or a sensor, not a finger [m].
 _LEAST_TRAVEL = 0.004
 # An end frame closer than this to the last joint is not a fingertip [m].
@@ -47,6 +45,8 @@ _CLOSED = 0.015
 _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
+# A palm with so much less evidence than another one is none.
+_BEHIND = 1.5
 
 
 class Clue(NamedTuple):
@@ -114,6 +114,8 @@ class RobotFinger(Finger):
 
 _Hand = tuple[list[RobotFinger], list[str], str, float]
 """Fingers, notes, and evidence for the palm with the confidence in it."""
+_Scored = tuple[float, list[RobotFinger]]
+"""How much speaks for a body as a palm, and the chains that branch from it."""
 
 
 def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
@@ -153,7 +155,24 @@ def find_palms(robot: Robot) -> list[str]:
 def _hands(robot: Robot) -> list[list[RobotFinger]]:
     """Return the finger-like chains of each palm, or else each moving and fixed jaw."""
     jaws = (_jaws(robot, leaf) for leaf in robot.leaves(0))
-    return _branching(robot) or [*filter(None, jaws)]
+    return _branching(robot)[0] or [*filter(None, jaws)]
+
+
+def passed_over(robot: Robot) -> list[str]:
+    """Return notes on bodies with chains like fingers that have less evidence than the hands.
+
+    Each says how much less, and how it is described all the same.
+    """
+    taken, others = _branching(robot)
+    if not taken:
+        return []
+    best = max(map(_evidence, taken))
+    links = ((_palm_link(fingers), len(fingers), score) for score, fingers in others)
+    return [
+        f"the {count} chains at {link} are taken for no hand (evidence {score:.1f}, of the hand "
+        f"{best:.1f}): describe them with --root {link}"
+        for link, count, score in links
+    ]
 
 
 def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
@@ -182,8 +201,8 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     return [jaw, RobotFinger(robot, palm, palm, (tip, tips[gaps.argmin()]))]
 
 
-def _branching(robot: Robot) -> list[list[RobotFinger]]:
-    """Return the finger-like chains of each palm."""
+def _branching(robot: Robot) -> tuple[list[list[RobotFinger]], list[_Scored]]:
+    """Return the finger-like chains of each palm, and of bodies with less evidence."""
     found = {
         body: fingers
         for body in range(robot.model.njoints)
@@ -195,20 +214,20 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     palms = [body for body in found if starts.isdisjoint(supports[body])]
     bases = {*chain.from_iterable([*supports[palm]][:-1] for palm in palms)}
     hands = [found[palm] for palm in palms if palm not in bases]
-    # Where some are named as hands, others are feet, bases or something else.
-    named = [fingers for fingers in hands if _is_named(fingers)]
-    return named or hands
+    scored = [(_evidence(fingers), fingers) for fingers in hands]
+    # A hand's name, or the arm that carries it, tells a hand from a foot, a base or a mouth.
+    least = max(0.0, max((score for score, _ in scored), default=0.0) - _BEHIND)
+    taken = [fingers for score, fingers in scored if score > least]
+    return taken, [one for one in scored if one[0] <= least]
 
 
-def _is_named(fingers: list[RobotFinger]) -> bool:
-    """Return whether the fingers or the links of their palm have a hand's names."""
-    palm = fingers[0].robot.links[
-        fingers[0].robot.frames[_palm_link(fingers)].parentJoint
-    ]
-    names = (
-        name for finger in fingers for name in (*finger.joint_names, *finger.links)
-    )
-    return names_hand(chain(palm, names))
+def _evidence(fingers: list[RobotFinger]) -> float:
+    """Return how much speaks for the body from which chains branch as a palm."""
+    robot = fingers[0].robot
+    body = robot.frames[_palm_link(fingers)].parentJoint
+    parts = ([*finger.joint_names, *finger.links] for finger in fingers)
+    above = [robot.model.names[joint] for joint in robot.model.supports[body]]
+    return palm_evidence([*robot.links[body], *chain.from_iterable(parts)], above[1:])
 
 
 def _is_base(robot: Robot, body: int) -> bool:
@@ -236,7 +255,8 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> _Hand:
         problem = f"no branch of the palm moves its end{robot.locked_advice}"
         raise robot.error(problem)
     _check_one_hand(robot, fingers)
-    how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
+    longest = max(LONGEST_FINGER, *(finger.length for finger in fingers))
+    how = f"the only link from which {len(fingers)} chains of at most {longest:.2g} m branch"
     return fingers, notes, how, 0.95 if len(fingers) > 2 else 0.85
 
 
@@ -295,9 +315,11 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     branches = []
     for start in starts:
         branch = [RobotFinger(robot, leaf, body) for leaf in robot.leaves(start)]
-        if any(is_limb(one.joint_names, robot.endless) for one in branch):
-            continue
-        if max(one.length for one in branch) < LONGEST_FINGER:
+        least = min(
+            finger_evidence(one.joint_names, robot.endless, one.length)
+            for one in branch
+        )
+        if least > 0.0:
             branches.append(branch)
     return [*chain.from_iterable(branches)] if len(branches) > 1 else []
 
