@@ -57,7 +57,7 @@ def strangers() -> Path:
 def test_wrong_descriptions_of_other_makers_are_repaired(
     benchmark: Callable[[str], Any], strangers: Path, tmp_path: Path
 ) -> None:
-    """Nine of ten of the group that the detection is tuned on; the other group is only counted."""
+    """Most of the group that the detection is tuned on; the other group is left alone."""
     listing, verdicts = benchmark("stranger_list"), benchmark("stranger_verdicts")
     listed = Path(listing.__file__).with_name("strangers.yaml")
     rows: list[str] = []
@@ -77,7 +77,7 @@ def test_wrong_descriptions_of_other_makers_are_repaired(
         pytest.skip("no description is wrong")
     table = "\n".join([f"{sum(repaired)} of {len(repaired)} repaired", *rows])
     print(table)
-    assert sum(repaired) >= 0.5 * len(repaired), table
+    assert sum(repaired) >= 0.7 * len(repaired), table
 
 
 def repaired_stranger(

@@ -166,8 +166,6 @@ def test_a_spoilt_description_is_repaired_in_a_browser(tmp_path: Path) -> None:
             # A page that is made anew may lose a click.
             wait_until(lambda: page.press("Save") or out.is_file(), "nothing is saved")
             clicks_needed = page.clicks
-            picture, _ = browser.screenshot()
-            (tmp_path / "page.png").write_bytes(picture)
             assert not browser.errors
     assert is_right(read_hand_spec(out), truth)
     assert clicks_needed * _PER_CLICK < _MINUTE
