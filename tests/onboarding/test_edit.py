@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 import shutil
-import time
 import types
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -19,7 +18,8 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
-from browser import DRAWING, Browser, find_chromium, light_simply
+from browser import DRAWING, Browser, light_simply
+from edit_page import Page, chromium, is_asked
 from made_hands import make_hand
 from patience import kept_going, wait_until
 
@@ -32,6 +32,7 @@ from handmap_qp.apps.onboarding.editor import HandEditor, HandsEdit
 from handmap_qp.apps.onboarding.findings import HandReport
 from handmap_qp.apps.onboarding.gestures import GESTURES, draw_gestures
 from handmap_qp.apps.onboarding.measure import check_fist
+from handmap_qp.apps.onboarding.palm_turns import with_turn
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.fingers import find_fingers
@@ -257,7 +258,7 @@ def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(
 ) -> None:
     # Gestures are those of another test.
     monkeypatch.setattr(
-        "handmap_qp.apps.onboarding.editor.draw_gestures", lambda _: ({}, "")
+        "handmap_qp.apps.onboarding.gesture_tab.draw_gestures", lambda _: ({}, "")
     )
     with serving() as server:
         found = edit.open_description("allegro_left")
@@ -281,50 +282,37 @@ def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(
         # A name that is chosen while a tip is dragged comes after it.
         editor._press("tip", tip.link)
         editor.names[tip.link].value = "little"
+        editor._press("names", None)
         editor.tick()
         fingers = {point.link: point.finger for point in editor.hand.reference_points}
         assert fingers[tip.link] == "little"
 
 
-def is_asked(browser: Browser, y: float) -> bool:
-    """Click in the middle of the scene; return whether the page asks for the thumb's name."""
-    browser.click(710, y)
-    time.sleep(1.0)
-    return browser.evaluate(
-        "document.body.innerText.includes('Name the finger that is called thumb')"
-    )
-
-
 def test_the_page_corrects_a_hand_in_a_browser(
     tmp_path: Path, small_gestures: None
 ) -> None:
-    program = find_chromium()
-    if program is None:
-        pytest.skip(
-            "no Chromium: install one (on Debian: chromium), or name one in HANDMAP_CHROMIUM"
-        )
+    program = chromium()
     out = tmp_path / "mine.yaml"
     found = edit.open_description("three_finger")
     text = "document.body.innerText.includes('{}')"
-
-    def click(query: str, label: str) -> None:
-        """Click what has a label once it is there; viser drops what comes within 50 ms."""
-        time.sleep(0.3)
-        node = f"[...document.querySelectorAll('{query}')].find({label})"
-        browser.wait_for(f"!!{node}")
-        browser.evaluate(f"{node}.click()")
-
-    def press(button: str) -> None:
-        click("button", f"e => e.innerText.trim() == '{button}'")
 
     with serving() as server, Browser(program) as browser:
         light_simply(server)
         editor = HandEditor(server, found, out)
         with kept_going(editor.tick, 0.05):
             browser.open(f"http://127.0.0.1:{server.get_port()}")
+            page = Page(browser)
+            press = page.press
             press("Turn the palm over")
             press("Left / right")
             wait_until(lambda: editor.hand.side == "left", "the side does not change")
+            # Choose names for all fingers, and apply them at once.
+            thumb, *_ = editor.hand.reference_points
+            page.choose("thumb", "index")
+            page.choose("middle", "thumb")
+            press("Apply the names")
+            browser.wait_for(text.format("each name once"))
+            assert editor.hand.reference_points[0] == thumb
             # Move a slider by its keys, as a user does.
             sliders = "[...document.querySelectorAll('[role=slider]')]"
             browser.evaluate(f"{sliders}[1].focus()")
@@ -334,9 +322,6 @@ def test_the_page_corrects_a_hand_in_a_browser(
                 lambda: editor.joints[1].value == upper, "the slider does not move"
             )
             press("Rest as shown")
-            click("input", "e => e.value == 'thumb'")
-            click("[role=option]", "e => e.innerText.trim() == 'little'")
-            browser.wait_for(text.format("one that is the thumb"))
             # The thumb points down in the middle, or up if the hand is turned over; where the palm
             # ends depends on when the camera was placed. A page that is not drawn yet takes no
             # click.
@@ -345,8 +330,7 @@ def test_the_page_corrects_a_hand_in_a_browser(
                 lambda: is_asked(browser, next(heights)), "no thumb there", DRAWING
             )
             press("index")
-            index = found.spec.points[2].link
-            wait_until(lambda: editor.names[index].value == "thumb", "no new name")
+            wait_until(lambda: editor.hand.reference_points[0] != thumb, "no new name")
             press("Save")
             browser.wait_for(text.format("wrote"))
             browser.wait_for(text.format("finger dir."))
@@ -355,5 +339,7 @@ def test_the_page_corrects_a_hand_in_a_browser(
     assert spec.side == "left"
     assert spec.palm.dorsal == tuple(-np.array(found.spec.palm.dorsal))
     assert spec.rest == found.spec.rest | {spec.joints[1]: upper}
-    renamed = edit.with_finger(load_hand("three_finger"), "thumb", "index")
+    # A thumb in the middle says nothing of the side: that orders the other fingers.
+    over = load_hand(with_turn(load_hand("three_finger"), "dorsal"))
+    renamed = edit.with_finger(over, "thumb", "index")
     assert [p.finger for p in spec.points] == [p.finger for p in renamed.points]

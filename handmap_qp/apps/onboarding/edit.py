@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_core.errors import HandError, expect
+from handmap_core.errors import HandError
 from handmap_core.se3 import Array
 from handmap_qp.hands import (
     OTHER_SIDE,
@@ -25,6 +25,7 @@ from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import colliding_links, with_collision_pairs
 from .detect import Detection, detect
 from .findings import HandReport, warning
+from .finger_permutation import with_names
 from .measure import check_fist
 from .speeds import with_origin
 from .write import FOUND, RobotSource
@@ -133,29 +134,9 @@ def with_finger(hand: Hand, finger: str, name: str) -> HandSpec:
     Raises:
         InvalidInputError: If no finger would be the thumb.
     """
-    keeps = finger != THUMB or name in finger_tips(hand)
-    advice = "call another finger the thumb"
-    expect(keeps, "finger", "one that is the thumb", got="none", advice=advice)
-    names = {finger: name, name: finger}
-
-    def called(text: str) -> str:
-        stem, _, kind = text.partition("_")
-        return f"{names[stem]}_{kind}" if stem in names else text
-
-    spec = hand.spec
-    points = [
-        replace(
-            point,
-            name=called(point.name),
-            finger=names[point.finger],
-            partner=point.partner and called(point.partner),
-        )
-        if point.finger in names
-        else point
-        for point in spec.points
-    ]
-    sets = {key: [*map(called, members)] for key, members in spec.sets.items()}
-    return replace(spec, points=points, sets=sets)
+    tips = finger_tips(hand)
+    both = {finger: name, name: finger}
+    return with_names(hand, {tips[a].link: b for a, b in both.items() if a in tips})
 
 
 def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:

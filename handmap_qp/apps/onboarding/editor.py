@@ -7,9 +7,15 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional
 
-from handmap_core.se3 import Array, inverse_pose, transform_points
+from handmap_core.errors import HandError, HandmapError
+from handmap_core.se3 import (
+    Array,
+    inverse_pose,
+    rotation_from_quat_wxyz,
+    transform_points,
+)
 from handmap_qp.apps.arguments import HandName, hinted
-from handmap_qp.apps.viewer.controls import add_controls, reporting
+from handmap_qp.apps.viewer.controls import add_controls, reporting, say
 from handmap_qp.apps.viewer.figure import place_node
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import HandScene
@@ -17,19 +23,49 @@ from handmap_qp.apps.viewer.serving import ViserServer, run_frames, showing
 from handmap_qp.hands import (
     FINGERS,
     ROBOT_FILES,
+    THUMB,
+    Hand,
+    HandSpec,
     find_fingers,
     finger_tips,
     load_hand,
+    urdf_path,
 )
 from . import edit
-from .detect import Detection, detect
-from .gestures import draw_gestures
+from .background import Background
+from .detect import Detection
+from .finger_permutation import all_tips, left_out, with_names
+from .gesture_tab import GestureTab
+from .hand_choice import (
+    at_root,
+    first_hand,
+    links_of_hand,
+    palm_links,
+    possible_roots,
+    with_thumb,
+)
+from .label_places import spread_labels
+from .palm_turns import (
+    Held,
+    Turn,
+    snapped_axes,
+    with_palm_axes,
+    with_palm_link,
+    with_turn,
+)
 from .write import check_free, open_source, write_hand
 
-# Length and radius of the palm's axes, and length of the arrows, in radii of the hand.
+# Length and radius of the palm's axes, and of the arrows and rings, in radii of the hand.
 _AXES = 1.2
 _AXIS = 0.03
 _ARROWS = 0.3
+_RINGS = 0.9
+# Room of a label of a tip, wide and high, in radii of the hand.
+_LABEL = (0.5, 0.14)
+# In the list of a finger's names: it is left out.
+_NONE = "none"
+# Turns of the palm by the names of their buttons; a quarter turn's axis is given.
+_TURNS: dict[str, Turn] = {"turn": "dorsal", "distal": "distal", "quarter": "x"}
 # Step of the joints [rad or m].
 _STEP = 0.001
 
@@ -39,10 +75,12 @@ class HandsEdit:
     """Correct a hand's description in the browser: palm, side, fingers, tips and rest posture.
 
     Shows the hand, and gestures of the package's recording as they are mapped to it, with scores.
-    Turn the palm over, rename fingers, drag tips, move the joints to where the hand rests. Where it
-    is uncertain to which side a fist closes, choose the picture of one. Save writes the hand.yaml,
-    with comments. The hand of a URDF or MJCF file is described first, as by `handmap hands init`;
-    run that, with its --root, for one of two hands.
+    Turn the palm's axes, name the fingers or leave some out, drag tips, move the joints to where
+    the hand rests. What you give is held, and the rest is found again: the side follows the turned
+    axes, the axes follow another thumb. Where it is uncertain to which side a fist closes, choose
+    the picture of one. Save writes the hand.yaml, with comments. The hand of a URDF or MJCF file is
+    described first, as by `handmap hands init`; of several hands the first one, and a list of roots
+    leads to the others.
 
     Examples:
         handmap hands edit my_hand/hand.yaml --open
@@ -70,7 +108,7 @@ class HandsEdit:
         check_free(out, overwrite=self.overwrite or out == given)
         if given.suffix.lower() in ROBOT_FILES:
             source = open_source(given)
-            found = edit.described(detect(source.urdf), source)
+            found = edit.described(first_hand(source.urdf), source)
         else:
             found = edit.open_description(given)
         with showing("127.0.0.1", 8080, opens=self.open) as server:
@@ -81,15 +119,36 @@ class HandEditor:
     """The page of a description, `found`, which Save writes to the file `out`.
 
     viser calls callbacks in threads of its own: they record what `tick` carries out, or ask first.
+    Mapping, and finding a hand from another root, are done in the background meanwhile.
     """
 
     def __init__(self, server: ViserServer, found: Detection, out: Path) -> None:
         self.out = out
-        self._requests = []
-        self._mapped = None
-        self._pictures: Any = None
-        self._take(found)
+        self._server = server
         self._gui = server.gui
+        self._requests: list[tuple[str, Any]] = []
+        self._search = Background[Detection]()
+        # What the user has given: it is not derived again.
+        self._held = Held()
+        certainty = {clue.what: clue.certainty for clue in found.clues}
+        is_unsure = certainty.get("dorsal", "certain") != "certain"
+        # Number of the pair of palms to choose from; None without a question.
+        self._question: int | None = 0 if is_unsure else None
+        self._take(found)
+        self._roots = _roots(self.hand)
+        self._build()
+
+    # -- the page
+
+    def _build(self) -> None:
+        """Make the page of the hand: another hand has other joints and fingers."""
+        self._page = _page_of(self.hand)
+        server = self._server
+        self._gui.reset()
+        server.scene.reset()
+        self._named: dict[str, str] = {}
+        self._spare = left_out(self.found.spec)
+        self._drawn_links = links_of_hand(self.hand)
         self._add_controls()
         self._scene = HandScene(server, None, [self._shown(self.hand.rest)])
         self._add_handles(server.scene)
@@ -100,16 +159,29 @@ class HandEditor:
         gui = self._gui
         gui.main_panel.dock_left()
         panel = gui.add_panel()
-        self._tab = panel.add_tab("Gestures")
+        tab = panel.add_tab("Gestures")
         panel.dock_right()
         controls = add_controls(gui, "editing", self._press)
-        self.message, self.status = controls[-2:]
+        self.message = controls.message
+        self.status = controls.status
+        self.gestures = GestureTab(gui, tab, self.status, self._press)
         hand = self.hand
         with gui.add_folder("fingers"):
+            tips = all_tips(hand)
+            options = list(dict.fromkeys([*FINGERS, *tips, _NONE]))
+            links = [*(tip.link for tip in tips.values()), *self._spare]
             self.names: dict[str, Any] = {
-                tip.link: gui.add_dropdown(tip.link, FINGERS)
-                for tip in hand.reference_points
+                link: gui.add_dropdown(link, options, initial_value=_NONE)
+                for link in links
             }
+            add_controls(gui, "naming", self._press)
+        with gui.add_folder("root and palm", expand_by_default=False):
+            palm = self.found.spec.palm.link
+            self.palm = gui.add_dropdown("palm", palm_links(hand), initial_value=palm)
+            root = self.found.spec.root or self._roots[0]
+            roots = dict.fromkeys([*self._roots, root])
+            self.root = gui.add_dropdown("root", [*roots], initial_value=root)
+            add_controls(gui, "placing", self._press)
         ranges = np.vstack([hand.limits, hand.rest]).T.tolist()
         with gui.add_folder("joints"):
             self.joints = [
@@ -120,7 +192,7 @@ class HandEditor:
             ]
 
     def _add_handles(self, scene: Any) -> None:
-        """Add the palm's axes, and a name and arrows to drag it by at each tip."""
+        """Add the palm's axes with rings to turn them, and a name and arrows at each tip."""
         (figure,) = self._scene.robots
         size = figure.radius
         self._palm = scene.add_frame(
@@ -128,11 +200,23 @@ class HandEditor:
             axes_length=_AXES * size,
             axes_radius=_AXIS * size,
         )
+        self.rings = scene.add_transform_controls(
+            "/robot/rings",
+            _RINGS * size,
+            disable_axes=True,
+            disable_sliders=True,
+            depth_test=False,
+            opacity=0.6,
+        )
+        self.rings.on_update(
+            lambda event: event.phase == "end" and self._press("axes", None)
+        )
         self.arrows = {}
         self._labels = {}
         for link, node in figure.links.items():
             node.on_click(lambda event, at=link: self._ask(at, event.client.gui))
-        for link in self.names:
+        for tip in self.hand.reference_points:
+            link = tip.link
             path = f"/robot/{link}"
             self.arrows[link] = arrows = scene.add_transform_controls(
                 path,
@@ -147,21 +231,37 @@ class HandEditor:
             self._labels[link] = scene.add_label(f"{path}/name", "")
 
     def _press(self, name: str, which: Any) -> None:
-        """Record a request, and what it is about: a browser, both names, or a tip's link."""
+        """Record a request, and what it is about: a browser, an axis, or a tip's link."""
         self._requests.append((name, which))
 
+    # -- requests
+
     def tick(self, _: float = 0.0) -> None:
-        """Carry out the user's requests, map the gestures, and draw."""
-        for tip in self.hand.reference_points:
-            name = self.names[tip.link].value
-            if name != tip.finger:
-                self._press("name", (tip.finger, name))
-        while self._requests:
+        """Carry out the user's requests, map the gestures in the background, and draw."""
+        if self._search.is_busy:
+            self._take_search()
+        while self._requests and not self._search.is_busy:
+            request, which = self._requests.pop(0)
             with reporting(self.message, ""):
-                self._act(*self._requests.pop(0))
-            self._show()
-        self._map()
+                self._act(request, which)
+            if not self._search.is_busy:
+                self._show()
+        self.gestures.update(self.found, self._question)
         self._draw()
+
+    def _take_search(self) -> None:
+        """Take the hand that was looked for, if it has been found."""
+        outcome = self._search.take()
+        if outcome is None:
+            return
+        if isinstance(outcome, HandmapError):
+            say(self.message, outcome)
+            self.root.value = self.found.spec.root or self._roots[0]
+            return
+        self._held = Held()
+        say(self.message, None)
+        self._take(outcome)
+        self._show()
 
     def _act(self, request: str, which: Any) -> None:
         """Carry out a request."""
@@ -171,23 +271,91 @@ class HandEditor:
             case "save":
                 write_hand(self.found, self.out)
                 which.add_notification("Saved", f"wrote {self.out}")
-            case "turn":
-                spec = edit.with_palm_turned(hand)
+                return
+            case "palms":
+                self._question = 0
+                return
+            case "neither":
+                self._question = (self._question or 0) + 1
+                return
+            case "root":
+                self._look_from(self.root.value)
+                return
+        known = ("dorsal", "side") if request == "left" else ()
+        found = self.found
+        if request in (*_TURNS, "axes", "left", "right"):
+            self._held = self._held._replace(axes=True)
+        if request in ("left", "right"):
+            spec = self._chosen(request)
+        elif request in _TURNS:
+            turn: Turn = which if request == "quarter" else _TURNS[request]
+            spec = with_turn(hand, turn, self._held)
+        else:
+            spec = self._corrected(request, which)
+        self._take(edit.corrected(found, spec, *known))
+
+    def _chosen(self, which: str) -> HandSpec:
+        """Return the palm of the picture that was chosen, and end the question."""
+        pair = self.gestures.pair
+        self._question = None
+        return pair[which == "right"] if pair else self.hand.spec
+
+    def _corrected(self, request: str, which: Any) -> HandSpec:
+        """Return the description with one correction."""
+        hand = self.hand
+        match request:
+            case "axes":
+                return self._with_rings(hand)
             case "side":
-                spec = edit.with_other_side(hand)
+                self._held = self._held._replace(side=True)
+                return edit.with_other_side(hand)
             case "rest":
-                spec = edit.with_rest(hand, self._q)
+                return edit.with_rest(hand, self._q)
+            case "names":
+                return self._with_names(
+                    {link: _given(box.value) for link, box in self.names.items()}
+                )
             case "name":
-                spec = edit.with_finger(hand, *which)
+                first, second = which
+                links = {name: tip.link for name, tip in all_tips(hand).items()}
+                both = {first: second, second: first}
+                return self._with_names(
+                    {links[old]: new for old, new in both.items() if old in links}
+                )
             case "tip":
                 (pose,) = hand.link_poses([which], self._q)
                 place = np.array(self.arrows[which].position)
                 xyz = transform_points(inverse_pose(pose), place)
-                spec = edit.with_tip(hand, self._labels[which].text, xyz)
-            case "right":
-                spec = edit.with_other_palm(hand)
-        known = ("dorsal", "side") if request == "left" else ()
-        self._take(edit.corrected(self.found, spec, *known))
+                return edit.with_tip(hand, self._labels[which].text, xyz)
+            case "palm":
+                return with_palm_link(hand, self.palm.value)
+        raise AssertionError(request)
+
+    def _with_rings(self, hand: Hand) -> HandSpec:
+        """Return the description with the palm's axes as the rings show them."""
+        (pose,) = hand.link_poses([hand.spec.palm.link], self._q)
+        turn = rotation_from_quat_wxyz(np.array(self.rings.wxyz))
+        axes = snapped_axes(pose[:3, :3].T @ turn)
+        return with_palm_axes(hand, axes, self._held)
+
+    def _with_names(self, names: dict[str, str | None]) -> HandSpec:
+        """Return the description with these names; for another thumb the palm is found again."""
+        hand = self.hand
+        spec = with_names(hand, names)
+        self._held = self._held._replace(names=True)
+        before = all_tips(hand).get(THUMB)
+        link = next((link for link, name in names.items() if name == THUMB), None)
+        if before is None or link is None or link == before.link or self._held.axes:
+            return spec
+        side = hand.side if self._held.side else None
+        return with_thumb(self.found._replace(spec=spec), link, side)
+
+    def _look_from(self, root: str) -> None:
+        """Look for the hand from a link on, in the background."""
+        say(self.message, f"looking for the hand from {root} on …")
+        found = self.found
+        side = self.hand.side if self._held.side else None
+        self._search.start(lambda: at_root(found, root, side))
 
     def _ask(self, link: str, gui: Any) -> None:
         """Ask for the name of the finger that a link is of, if it is of one."""
@@ -202,6 +370,8 @@ class HandEditor:
             def _(_: Any) -> None:
                 self._press("name", (finger, names.value))
                 modal.close()
+
+    # -- the hand
 
     def _take(self, found: Detection) -> None:
         """Take a description, if it can be loaded."""
@@ -219,12 +389,23 @@ class HandEditor:
         wrist = hand.frame_pose("wrist", q)
         points = hand.points(q)
         sample = ViewSample(time=0, robot_q=q, robot_wrist=wrist, robot_points=points)
-        return Variant(f"a {hand.side} hand", hand, None, [sample])
+        label = f"a {hand.side} hand"
+        return Variant(label, hand, None, [sample], drawn=self._drawn_links)
 
     def _show(self) -> None:
         """Show fingers by their names, and the hand with its palm upright."""
-        for tip in self.hand.reference_points:
-            self.names[tip.link].value = self._labels[tip.link].text = tip.finger
+        if _page_of(self.hand) != self._page:
+            self._build()
+            return
+        named = {tip.link: name for name, tip in all_tips(self.hand).items()}
+        for link, name in named.items():
+            # Names that were chosen, and not applied yet, stay.
+            if name != self._named.get(link):
+                self.names[link].value = name
+            if link in self._labels:
+                self._labels[link].text = name
+        self._named = named
+        self.palm.value = self.found.spec.palm.link
         self._scene.set_variants([self._shown(self.hand.rest)])
         self._drawn = None
 
@@ -234,35 +415,42 @@ class HandEditor:
         if q.tolist() != self._drawn:
             self._drawn = q.tolist()
             self._scene.draw(self._shown(q).samples)
-            place_node(self._palm, self.hand.frame_pose("palm", q))
-            for tip in self.hand.reference_points:
-                pose = self.hand.frame_pose(tip.name, q)
-                self.arrows[tip.link].position = pose[:3, 3]
+            pose = self.hand.frame_pose("palm", q)
+            place_node(self._palm, pose)
+            place_node(self.rings, pose)
+            tips = {
+                tip.link: self.hand.frame_pose(tip.name, q)[:3, 3]
+                for tip in self.hand.reference_points
+            }
+            for link, place in tips.items():
+                self.arrows[link].position = place
+            self._place_labels(np.array([*tips.values()]))
         self._scene.cameras.update()
 
-    def _map(self) -> None:
-        """Show the gestures as mapped if the description has changed, with their scores.
+    def _place_labels(self, tips: Array) -> None:
+        """Move the labels of the tips (n, 3) apart, up and down in the view."""
+        (figure,) = self._scene.robots
+        seen = (tips @ figure.axes.T)[:, :2]
+        places = spread_labels(seen, *(np.array(_LABEL) * figure.radius).tolist())
+        ways = np.column_stack([places - seen, np.zeros(len(tips))]) @ figure.axes
+        for label, way in zip(self._labels.values(), ways, strict=True):
+            label.position = way
 
-        If it is uncertain to which side a fist closes, ask which of two is one.
-        """
-        if self._mapped is self.found:
-            return
-        gui = self._gui
-        with reporting(self.status, "mapping the gestures …"):
-            shown, scores = draw_gestures(self.hand)
-            if self._pictures:
-                self._pictures.remove()
-            with self._tab:
-                self._pictures = gui.add_folder("as mapped")
-            with self._pictures:
-                gui.add_markdown(scores)
-                certainty = {clue.what: clue.certainty for clue in self.found.clues}
-                if certainty.get("dorsal", "certain") != "certain":
-                    turned = load_hand(edit.with_other_palm(self.hand))
-                    others, _ = draw_gestures(turned)
-                    fists = np.hstack([shown["fist"][1], others["fist"][1]])
-                    gui.add_image(fists, label="Which picture is a fist?")
-                    add_controls(gui, "choosing", self._press)
-                for name, picture in shown.items():
-                    gui.add_image(np.hstack([*picture]), label=name)
-        self._mapped = self.found
+
+def _page_of(hand: Hand) -> tuple[object, ...]:
+    """Return what a page is made for: joints, tips, and the root of a hand."""
+    tips = {tip.link for tip in all_tips(hand).values()}
+    return hand.joint_names, tips, hand.spec.root, links_of_hand(hand)
+
+
+def _given(name: str) -> str | None:
+    return None if name == _NONE else name
+
+
+def _roots(hand: Hand) -> list[str]:
+    """Return the links at which the hand can begin; its own if the URDF cannot be read."""
+    spec = hand.spec
+    try:
+        return [*possible_roots(urdf_path(spec))]
+    except HandError:
+        return [spec.root or spec.palm.link]

@@ -54,13 +54,15 @@ def add_controls(
     Args:
         gui: Where viser adds controls.
         group: Name of the group.
-        press: Called with a button's name and the browser's handle when the button is pressed.
+        press: Called with a button's name and the browser's handle when the button is pressed; of
+            one in a row of buttons, with the row's name and the button's text.
 
     Returns:
         The viser controls in their order, a tuple with their names.
     """
     add: dict[str, Callable[..., Any]] = {
         "button": gui.add_button,
+        "buttons": gui.add_button_group,
         "checkbox": gui.add_checkbox,
         "dropdown": gui.add_dropdown,
         "html": gui.add_html,
@@ -73,6 +75,8 @@ def add_controls(
         handles.append(handle)
         if kind == "button":
             handle.on_click(lambda event, name=name: press(name, event.client))
+        elif kind == "buttons":
+            handle.on_click(lambda event, name=name: press(name, event.target.value))
     return namedtuple(group, _GROUPS[group], rename=True)(*handles)
 
 

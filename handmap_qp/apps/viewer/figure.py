@@ -27,7 +27,7 @@ from handmap_qp.apps.drawing import (
     LinkShape,
     read_shapes,
 )
-from handmap_qp.hands import Hand, Values, finger_tips, joined
+from handmap_qp.hands import Hand, Names, Values, finger_tips, joined
 from handmap_qp.human import TIPS
 from handmap_qp.trackers import BONES, NEIGHBOURS
 from .sample import HumanView, Variant, ViewSample
@@ -269,6 +269,12 @@ class LandmarkFigure(Figure):
 class HandFigure(Figure):
     """A hand with its shapes.
 
+    Args:
+        node: Name of its node.
+        hand: The hand.
+        drawn: Links that are drawn, and that the view is fitted to; all if omitted, or if none of
+            these has a shape.
+
     Attributes:
         hand: The hand.
         radius: About half its size [m], for the sizes of spheres.
@@ -280,7 +286,13 @@ class HandFigure(Figure):
     shows = "robot_points"
     colour = ROBOT_COLOUR
 
-    def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
+    def __init__(
+        self,
+        server: ViserServer,
+        node: str,
+        hand: Hand,
+        drawn: Names | None = None,
+    ) -> None:
         super().__init__(server, node)
         self.hand = hand
         # Its fingertips, or its own points where no finger has a name.
@@ -289,12 +301,19 @@ class HandFigure(Figure):
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self.links: Values = {}
         self._corners: Arrays = {}
-        for link, meshes in link_meshes(hand).items():
+        every = link_meshes(hand)
+        # Points and axes of a hand without any shape are drawn all the same.
+        kept = (
+            every.keys() if drawn is None else every.keys() & {*drawn} or every.keys()
+        )
+        for link, meshes in every.items():
+            if link not in kept:
+                continue
             path = f"/{node}/body/{link}"
             self.links[link] = server.scene.add_frame(path, show_axes=False)
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
-            if self._is_in_view(link):
+            if drawn is not None or self._is_in_view(link):
                 box = box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
@@ -444,7 +463,7 @@ class RobotFigure(HandFigure):
 
     def __init__(self, server: ViserServer, variant: Variant, index: int) -> None:
         node = f"robot_{index + 1}" if index else "robot"
-        super().__init__(server, node, variant.robot)
+        super().__init__(server, node, variant.robot, variant.drawn)
         self.variant = index
         self.label = ""
         solid = variant.solid

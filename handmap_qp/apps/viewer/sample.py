@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_core.se3 import Array, lengths
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Names
 from handmap_qp.mapping import Choice
 
 
@@ -102,6 +102,7 @@ class Variant(NamedTuple):
         solid: An object, a `trimesh.Trimesh`, placed by `ViewSample.object_pose`; None for none.
         axes: Rotation from V to the scene's axes, in which +y is up and the view is along +z,
             shape (3, 3); as the mapping aligns both hands if omitted.
+        drawn: Links that are drawn; all if omitted.
     """
 
     label: str
@@ -110,6 +111,7 @@ class Variant(NamedTuple):
     samples: Sequence[ViewSample]
     solid: Any = None
     axes: Array | None = None
+    drawn: Names | None = None
 
     @property
     def plotted(self) -> Array:
