@@ -4,7 +4,8 @@ A field added to `MappingArguments` becomes an option of every command that maps
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, make_dataclass, replace
 from functools import reduce
 from operator import or_
@@ -40,11 +41,14 @@ from handmap_qp.mapping import (
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import (
     SIDES,
+    LongRecording,
+    Source,
     check_recording,
+    find_hands,
+    find_source,
     layout_hint,
     load_layout,
     read_hands,
-    read_recording,
     read_with_layout,
 )
 
@@ -121,15 +125,38 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            lengths = read_person(person).lengths if person else None
-            layout = load_layout(self.layout)
-            return read_with_layout(path, layout, self.side, lengths, self.fps)
-        try:
-            recording = read_recording(path, self.side or wanted, fps=self.fps)
-        except RecordingError as error:
-            if hint := layout_hint(path):
-                error.problem += f"; {hint}"
-            raise
+            return self._with_layout(self.layout, path, person)
+        with _hinting_layout(path):
+            recording = self._source(path, wanted).read()
+        return self._checked(recording, path)
+
+    def read_long(
+        self, path: Path, wanted: Side | None = None, person: Path | None = None
+    ) -> Recording | LongRecording:
+        """Read a recording as `read`, or open it to be read by pieces if it is long.
+
+        Raises:
+            HandmapError: As `read`.
+        """
+        if self.layout is not None:
+            return self._with_layout(self.layout, path, person)
+        with _hinting_layout(path):
+            found = self._source(path, wanted).read_long()
+        self._checked(_in_memory(found), path)
+        return found
+
+    def _with_layout(self, name: str, path: Path, person: Path | None) -> Recording:
+        """Read a recording whose values have another layout."""
+        lengths = read_person(person).lengths if person else None
+        layout = load_layout(name)
+        return read_with_layout(path, layout, self.side, lengths, self.fps)
+
+    def _source(self, path: Path, wanted: Side | None) -> Source:
+        """Find a recording in its file."""
+        return find_source(path, self.side or wanted, fps=self.fps)
+
+    def _checked(self, recording: Recording, path: Path) -> Recording:
+        """Reject a recording of another side, or that cannot be what it says."""
         if self.side and recording.side != self.side:
             raise InvalidInputError(
                 f"{path} says that it is of a {recording.side} hand",
@@ -141,7 +168,10 @@ class InputArguments:
 
     def side_of(self, path: Path) -> Side:
         """Return which hand a recording is of; of a file with both, the right one is taken."""
-        return self.read(path, "right").side
+        if self.layout is not None:
+            return self.read(path, "right").side
+        with _hinting_layout(path):
+            return self._source(path, "right").entry.side
 
     def read_both(
         self, paths: Sequence[Path], person: Path | None = None, *, mirror: bool = False
@@ -156,9 +186,7 @@ class InputArguments:
         Raises:
             HandmapError: See `read`.
         """
-        for option, given in (("--side", self.side), ("--mirror", mirror)):
-            if given:
-                raise InvalidInputError("has no effect on both hands", argument=option)
+        self._expect_both(mirror=mirror)
         if self.layout is None:
             hands = read_hands(paths, fps=self.fps)
             for recording in hands.values():
@@ -171,6 +199,49 @@ class InputArguments:
             side: replace(self, side=side).read(path, person=person)
             for side, path in zip(SIDES, (paths[0], paths[-1]), strict=True)
         }
+
+    def read_both_long(
+        self, paths: Sequence[Path], person: Path | None = None, *, mirror: bool = False
+    ) -> dict[Side, Recording | LongRecording]:
+        """Read both hands as `read_both`, or open those to be read by pieces that are long.
+
+        Raises:
+            HandmapError: As `read_both`.
+        """
+        if self.layout is not None:
+            return {**self.read_both(paths, person, mirror=mirror)}
+        self._expect_both(mirror=mirror)
+        hands = {
+            side: source.read_long()
+            for side, source in find_hands(paths, fps=self.fps).items()
+        }
+        for found in hands.values():
+            check_recording(_in_memory(found))
+        return hands
+
+    def _expect_both(self, *, mirror: bool) -> None:
+        """Reject options that both hands cannot have."""
+        for option, given in (("--side", self.side), ("--mirror", mirror)):
+            if given:
+                raise InvalidInputError("has no effect on both hands", argument=option)
+
+
+@contextmanager
+def _hinting_layout(path: Path) -> Iterator[None]:
+    """Add to an error of a file which layout it may have."""
+    try:
+        yield
+    except RecordingError as error:
+        if hint := layout_hint(path):
+            error.problem += f"; {hint}"
+        raise
+
+
+def _in_memory(recording: Recording | LongRecording) -> Recording:
+    """Return the samples of a recording that are in the memory."""
+    if isinstance(recording, LongRecording):
+        return recording.overview
+    return recording
 
 
 def person_of(recordings: Sequence[Recording], file: Path | None) -> Person:
@@ -353,24 +424,55 @@ def read_robot(
     Raises:
         HandmapError: If one cannot be read, or they do not fit.
     """
+    robot = _load_robot(name, files, command)
+    if _takes_both(robot, files):
+        both = command.inputs.read_both(files, command.person, mirror=command.mirror)
+        return robot, [both[side] for side in robot.by_side]
+    recording = command.inputs.read(files[0], robot.side, command.person)
+    return robot, [fit_side(recording, robot, mirror=command.mirror)]
+
+
+def read_long_robot(
+    name: str, files: Sequence[Path], command: Any
+) -> tuple[Hand, list[Recording] | LongRecording]:
+    """Read a robot as `read_robot`, and open a long recording for one hand to read it by pieces.
+
+    Raises:
+        HandmapError: As `read_robot`.
+    """
+    robot = _load_robot(name, files, command)
+    if robot.parts:
+        return read_robot(name, files, command)
+    found = command.inputs.read_long(files[0], robot.side, command.person)
+
+    def fit(recording: Recording) -> Recording:
+        return fit_side(recording, robot, mirror=command.mirror)
+
+    if isinstance(found, LongRecording):
+        return robot, found.changed(fit)
+    return robot, [fit(found)]
+
+
+def _load_robot(name: str, files: Sequence[Path], command: Any) -> Hand:
+    """Load the robot of `read_robot`, and check the number of recordings."""
     side = None
     if hand_sides(name) and files:
         side = command.inputs.side_of(files[0])
         side = OTHER_SIDE[side] if command.mirror else side
     robot = load_whole(name, command.arguments.robot_points, side=side)
-    # A robot with one hand takes a recording of it, or that of its side of two.
-    if len(robot.parts) > 1 or (robot.parts and len(files) > 1):
-        both = command.inputs.read_both(files, command.person, mirror=command.mirror)
-        return robot, [both[side] for side in robot.by_side]
     expect(
-        len(files) == 1,
+        len(files) == 1 or _takes_both(robot, files),
         "RECORDING",
         "one recording with --robot",
         value=len(files),
         advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap retarget`",
     )
-    recording = command.inputs.read(files[0], robot.side, command.person)
-    return robot, [fit_side(recording, robot, mirror=command.mirror)]
+    return robot
+
+
+def _takes_both(robot: Hand, files: Sequence[Path]) -> bool:
+    """Tell whether a robot takes both hands: one with one hand takes that of its side of two."""
+    return len(robot.parts) > 1 or bool(robot.parts and len(files) > 1)
 
 
 MappingFlags = Annotated[MappingArguments, arg(name="")]

@@ -3,6 +3,7 @@
 from handmap_core.human.findings import HAND_LENGTHS, Finding
 from handmap_core.human.recording import (
     Recording,
+    RecordingPart,
     as_flags,
     axis_direction,
     finite_samples,
@@ -62,6 +63,7 @@ __all__ = [
     "PalmShape",
     "Person",
     "Recording",
+    "RecordingPart",
     "Rule",
     "Verdict",
     "as_flags",

@@ -22,6 +22,9 @@ from handmap_core.se3 import (
 )
 from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
 
+_AT_ONCE = 10_000
+"""Samples whose bones are measured at once."""
+
 
 def check_length(landmarks: Array) -> Array:
     """Reject landmarks that are not a plausible hand in metres.
@@ -38,8 +41,12 @@ def check_length(landmarks: Array) -> Array:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    bones = lengths(np.diff(finger_chains(landmarks), axis=2))
-    segments = np.median(bones, axis=0)
+    # By parts: the chains of an hour take as much memory as the recording.
+    bones = [
+        lengths(np.diff(finger_chains(landmarks[start : start + _AT_ONCE]), axis=2))
+        for start in range(0, max(1, len(landmarks)), _AT_ONCE)
+    ]
+    segments = np.median(np.concatenate(bones), axis=0)
     palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
     expect_hand_length(palm + segments[2].sum(), "landmarks")
     return segments

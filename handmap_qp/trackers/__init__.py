@@ -13,14 +13,18 @@ from .formats import (
     FORMATS,
     SEPARATOR,
     Source,
+    find_hands,
+    find_source,
     format_to_write,
     list_sources,
     read_hands,
     read_recording,
     write_recordings,
 )
-from .formats.archive import NpzFormat, read_archive, save_npz
+from .formats.archive import NpzFormat, array_shapes, read_archive, save_npz
 from .formats.base import SIDES, first_of, reading
+from .formats.disk_columns import DiskColumn, write_npz
+from .formats.long import OVERVIEW, PIECE, LongRecording, blocks_of
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
@@ -36,19 +40,27 @@ __all__ = [
     "FORMATS",
     "LAYOUTS",
     "NEIGHBOURS",
+    "OVERVIEW",
+    "PIECE",
     "SEPARATOR",
     "SIDES",
     "STILL_TRAVEL",
     "STILL_TURN",
     "AngleLayout",
+    "DiskColumn",
     "InputCheck",
     "Layout",
+    "LongRecording",
     "MarkerLayout",
     "NpzFormat",
     "PointLayout",
     "RecordingFacts",
     "Source",
+    "array_shapes",
+    "blocks_of",
     "check_recording",
+    "find_hands",
+    "find_source",
     "first_of",
     "format_to_write",
     "hints",
@@ -65,5 +77,6 @@ __all__ = [
     "save_npz",
     "sized_human",
     "table_text",
+    "write_npz",
     "write_recordings",
 ]

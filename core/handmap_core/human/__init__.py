@@ -6,6 +6,7 @@ from .findings import (
 )
 from .recording import (
     Recording,
+    RecordingPart,
     as_flags,
     axis_direction,
     finite_samples,
@@ -48,6 +49,7 @@ __all__ = [
     "HumanSample",
     "PalmShape",
     "Recording",
+    "RecordingPart",
     "Rule",
     "Verdict",
     "as_flags",

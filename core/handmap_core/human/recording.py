@@ -85,7 +85,7 @@ class Recording:
         is_known = isinstance(shape, str) and self.object_pose is not None
         wanted = "a text, of an object that has poses"
         expect(shape == "" or is_known, "object_shape", wanted, value=shape)
-        expect(valid.any(), "valid", "at least one valid sample", got="none")
+        self._check_seen(valid)
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
@@ -101,6 +101,10 @@ class Recording:
             _expect_each(is_right, "confidence", "numbers from 0 to 1", shares)
         for name, array in columns.items():
             object.__setattr__(self, name, frozen(array.copy()))
+
+    def _check_seen(self, valid: Array) -> None:
+        """Reject a recording in which the hand is never seen."""
+        expect(valid.any(), "valid", "at least one valid sample", got="none")
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -166,6 +170,15 @@ class Recording:
         """
         steps = np.diff(self.time)
         return np.insert(steps, 0, np.median(steps) if len(steps) else 1.0 / 60.0)
+
+
+class RecordingPart(Recording):
+    """Consecutive samples of a longer recording; the hand may be unseen in all of them."""
+
+    __slots__ = ()
+
+    def _check_seen(self, valid: Array) -> None:
+        """Take samples without a hand: another part has one."""
 
 
 def regular_time(count: int, fps: float) -> Array:

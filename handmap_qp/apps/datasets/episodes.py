@@ -5,7 +5,7 @@ process, in any order.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -25,22 +25,29 @@ from handmap_core.errors import (
     expect,
     reason_of,
 )
-from handmap_core.se3 import Arrays
+from handmap_core.se3 import Array, Arrays
+from handmap_qp.apps.offline.long_motion import map_long
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
-from handmap_qp.human import Recording, tip_gaps
+from handmap_qp.human import Person, Recording, tip_gaps
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
+    OVERVIEW,
+    DiskColumn,
+    LongRecording,
+    array_shapes,
+    blocks_of,
     check_recording,
     hints,
     read_archive,
     read_hands,
     reading,
     recording_facts,
+    write_npz,
 )
 from .manifest import Line
 from .sources import BOTH, Job
@@ -106,16 +113,29 @@ def _run(job: Job) -> Values:
         raise InvalidInputError(
             f"there is no robot for the {side} hand", argument="--robot"
         )
-    with time_limit(_READING):
+    long = None
+    with time_limit(_READING * max(1.0, job.line.frames / OVERVIEW)):
         if side == BOTH:
             recordings = [*read_hands([job.line.path]).values()]
-        else:
+        elif options.look_ahead:
             recordings = [job.source.read()]
+        else:
+            found = job.source.read_long()
+            long = found if isinstance(found, LongRecording) else None
+            recordings = [found.overview if isinstance(found, LongRecording) else found]
     for recording in recordings:
         check_recording(recording)
     unusual = [hint for each in recordings for hint in hints(recording_facts(each))]
     robot = _robot(options.robots[side], options.arguments.robot_points)
     person = measure_person(*recordings)
+    results: Values = {
+        "status": "done",
+        "task": recordings[0].task,
+        "hints": tuple(unusual),
+        "out": job.out,
+    }
+    if long:
+        return results | _map_long(job, long, robot, person)
     if options.look_ahead:
         recordings = list(map(look_ahead, recordings))
     trajectory, _, valid = map_hands(recordings, robot, person, options.arguments)
@@ -127,15 +147,29 @@ def _run(job: Job) -> Values:
         wrists = [[h.frame_pose("wrist", q) for h in robot.hands] for q in trajectory.q]
         columns |= {"valid": valid, "wrist": np.array(wrists)}
     metrics = measure_episode(recordings, robot, trajectory, person.contact_gap)
-    return {
-        "status": "done",
+    return results | {
         "frames": len(trajectory.time),
-        "task": recordings[0].task,
-        "hints": tuple(unusual),
         "metrics": metrics,
-        "out": job.out,
         "sha256": save_episode(job.folder / job.out, trajectory.columns | columns),
     }
+
+
+def _map_long(job: Job, long: LongRecording, robot: Hand, person: Person) -> Values:
+    """Map a long recording of one hand by pieces; measures are those of its overview."""
+    file = job.folder / job.out
+    make_folder(file.parent, "--out")
+    with map_long(
+        long, robot, person, job.options.arguments, file, argument="--out"
+    ) as motion:
+        trajectory = motion.trajectory(*blocks_of(len(long)))
+        columns = motion.columns | {"side": np.array(job.line.side)}
+        return {
+            "frames": len(long),
+            "metrics": measure_episode(
+                [long.overview], robot, trajectory, person.contact_gap
+            ),
+            "sha256": save_long_episode(file, columns),
+        }
 
 
 _robot = lru_cache(maxsize=8)(load_whole)
@@ -238,6 +272,21 @@ def save_episode(file: Path, columns: Arrays) -> str:
     return sha256(archive.getbuffer()).hexdigest()
 
 
+def save_long_episode(file: Path, columns: Mapping[str, Array | DiskColumn]) -> str:
+    """Write the same bytes as `save_episode`, by pieces.
+
+    Returns:
+        SHA-256 of the file.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    with replaced_file(file, "--out", is_synced=False) as stream:
+        write_npz(stream, columns, is_compressed=False)
+    with writing(file, "--out"), file.open("rb") as stream:
+        return file_digest(stream, "sha256").hexdigest()
+
+
 def read_episode(folder: Path, line: Line) -> Arrays:
     """Verify an episode, and read what a data set for training needs of it.
 
@@ -253,22 +302,40 @@ def read_episode(folder: Path, line: Line) -> Arrays:
     Raises:
         RecordingError: If the file is missing, or is not what was written.
     """
+    file = _verified(folder, line)
+    arrays = read_archive(file, _COLUMNS if line.sha256 else None)
+    _expect_frames(file, line, {name: array.shape for name, array in arrays.items()})
+    return {name: arrays[name] for name in _COLUMNS}
+
+
+def _verified(folder: Path, line: Line) -> Path:
+    """Return the file of an episode, if it has the digest of what was written."""
     file = folder / line.out
     with reading(file), file.open("rb") as stream:
         is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
     if not is_same:
         raise RecordingError("is not what was written: its digest differs", file=file)
-    arrays = read_archive(file, _COLUMNS if line.sha256 else None)
+    return file
+
+
+def _expect_frames(
+    file: Path, line: Line, shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Reject an episode whose columns have another number of rows than its line says."""
     for name in _COLUMNS:
-        if name not in arrays or arrays[name].shape[:1] != (line.frames,):
+        if shapes.get(name, ())[:1] != (line.frames,):
             raise RecordingError("is missing or torn", file=file, array=name)
-    return {name: arrays[name] for name in _COLUMNS}
 
 
 def is_intact(folder: Path, line: Line) -> bool:
     """Return whether an episode is what was written; see `read_episode`."""
     try:
-        read_episode(folder, line)
+        if line.sha256:
+            # The digest is that of all numbers: they need not be read again.
+            file = _verified(folder, line)
+            _expect_frames(file, line, array_shapes(file, {*_COLUMNS}))
+        else:
+            read_episode(folder, line)
     except RecordingError:
         return False
     return True

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +20,7 @@ from handmap_qp.apps.arguments import (
     Recordings,
     hinted,
     person_of,
-    read_robot,
+    read_long_robot,
 )
 from handmap_qp.apps.drawing import require_drawing
 from handmap_qp.apps.tables import print_result, print_rows, progress
@@ -29,8 +29,10 @@ from handmap_qp.human import PALM, Recording, human_name, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
-from handmap_qp.trackers import SIDES, save_npz
+from handmap_qp.trackers import SIDES, LongRecording, blocks_of, save_npz
 from .inputs import describe_input, input_notes, input_rows
+from .long_motion import map_long
+from .long_summary import summarise_long
 from .moments import MappedMotion, save_moments
 from .summary import compare_closing, notes, summarise, table_rows
 from .trajectory import map_hands
@@ -104,16 +106,23 @@ class Retarget:
         if self.picture:
             check_output("--picture", self.picture, PICTURE_FORMS)
             require_drawing()
+        with progress("reading"):
+            read = self._read()
         moves = [
-            (robot, used, self._out(used[0], robot)) for robot, used in self._read()
+            (robot, used, self._out(_overviews(used)[0], robot)) for robot, used in read
         ]
         motions = []
         summaries = []
         for robot, used, out in moves:
-            motion = self._map(robot, used)
-            save_npz(out, motion.trajectory.all_columns)
-            motions.append(motion)
-            summaries.append(self._summary(motion, out))
+            if isinstance(used, LongRecording):
+                motion, summary = self._map_long(robot, used, out)
+            else:
+                motion = self._map(robot, used)
+                save_npz(out, motion.trajectory.all_columns)
+                summary = summarise(motion.trajectory)
+            summaries.append(self._summary(motion, summary, out))
+            if self.picture:
+                motions.append(motion)
         if self.picture:
             with progress("drawing"):
                 save_moments(self.picture, motions)
@@ -132,8 +141,8 @@ class Retarget:
         if self.picture:
             print(f"wrote {self.picture}")
 
-    def _read(self) -> list[tuple[Hand, list[Recording]]]:
-        """Read each robot with the recordings of its hands."""
+    def _read(self) -> list[tuple[Hand, list[Recording] | LongRecording]]:
+        """Read each robot with the recordings of its hands, or open a long one of one hand."""
         expect(
             (self.robot is None) != (self.robots is None),
             "--robot",
@@ -141,7 +150,7 @@ class Retarget:
             advice="name hands of `handmap hands list`",
         )
         if self.robot is not None:
-            return [read_robot(self.robot, self.recordings, self)]
+            return [read_long_robot(self.robot, self.recordings, self)]
         robots = [
             self.arguments.load_robot(name, side)
             for name, side in zip(self.robots or (), SIDES, strict=False)
@@ -153,8 +162,14 @@ class Retarget:
                 "a left hand, then a right hand",
                 got=f"{robot.name}, a {robot.side} one",
             )
-        hands = self.inputs.read_both(self.recordings, self.person, mirror=self.mirror)
-        return [(robot, [hands[robot.side]]) for robot in robots]
+        hands = self.inputs.read_both_long(
+            self.recordings, self.person, mirror=self.mirror
+        )
+        found = [(robot, hands[robot.side]) for robot in robots]
+        return [
+            (robot, hand if isinstance(hand, LongRecording) else [hand])
+            for robot, hand in found
+        ]
 
     def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write."""
@@ -176,10 +191,28 @@ class Retarget:
             warn(f"{robot.name} is mapped without the object: {_TOUCHES} touches it")
         return MappedMotion(trajectory, used, method, followed)
 
-    def _summary(self, motion: MappedMotion, out: Path) -> Values:
+    def _map_long(
+        self, robot: Hand, used: LongRecording, out: Path
+    ) -> tuple[MappedMotion, Values]:
+        """Map a long recording, and write it; return its overview and its summary."""
+        person = person_of([used.overview], self.person)
+        with ExitStack() as opened:
+            with progress(f"mapping to {robot.name}", len(used)) as advance:
+                motion = opened.enter_context(
+                    map_long(used, robot, person, self.arguments, out, advance)
+                )
+            with progress("writing"):
+                save_npz(out, motion.all_columns)
+            trajectory = motion.trajectory(*blocks_of(len(used)))
+            followed = trajectory.valid[:, None]
+            return (
+                MappedMotion(trajectory, [used.overview], motion.method, followed),
+                summarise_long(motion, trajectory),
+            )
+
+    def _summary(self, motion: MappedMotion, summary: Values, out: Path) -> Values:
         """Return the summary of what was mapped and written."""
         trajectory, used, method, _ = motion
-        summary = summarise(trajectory)
         return {
             "recording": " and ".join(each.name for each in used),
             **summary,
@@ -199,6 +232,11 @@ class Retarget:
         with suppress(HandmapError):
             return compare_closing(joined("human", *humans), robot, used)
         return None
+
+
+def _overviews(used: list[Recording] | LongRecording) -> list[Recording]:
+    """Return what is in the memory of the recordings of a robot's hands."""
+    return [used.overview] if isinstance(used, LongRecording) else used
 
 
 @dataclass(frozen=True)

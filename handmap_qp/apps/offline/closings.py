@@ -13,6 +13,8 @@ from .trajectory import stretches
 _FROM, _TO = 0.1, 0.9
 # The ends of its way are looked for in this time before and after [s].
 _NEAR = 1.0
+# Samples whose postures are measured at once.
+_AT_ONCE = 10_000
 
 
 def closing_times(recording: Recording) -> Array:
@@ -31,7 +33,14 @@ def closing_times(recording: Recording) -> Array:
     """
     found = []
     for seen in stretches(recording.valid):
-        flexion = measure_posture(recording.landmarks[seen]).flexion
+        landmarks = recording.landmarks[seen]
+        # By parts: the postures of an hour take more memory than the recording.
+        flexion = np.concatenate(
+            [
+                measure_posture(landmarks[start : start + _AT_ONCE]).flexion
+                for start in range(0, len(landmarks), _AT_ONCE)
+            ]
+        )
         for finger in flexion.T:
             # Landmarks that coincide have no angles.
             known = np.isfinite(finger)

@@ -1,12 +1,12 @@
 """Holds and summary numbers of a mapped motion, printed by `handmap retarget`."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
 
-from handmap_core.se3 import lengths
+from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import Recording
 from handmap_qp.mapping import arm_held_by, fist_time
@@ -73,7 +73,7 @@ def summarise(trajectory: Trajectory) -> Values:
         "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
         "samples_at_limit": trajectory.at_limit.any(axis=1).sum(),
         "limit_violation_max": trajectory.limit_violation,
-        **_by_instants(trajectory),
+        **by_instants(trajectory),
         "speed_limited_share": is_slow.any(axis=1).mean(),
         "assumed_speed_share": is_slow[:, is_assumed].any(axis=1).mean()
         if assumed
@@ -93,8 +93,12 @@ def summarise(trajectory: Trajectory) -> Values:
             robot, trajectory.q[seen], trajectory.at_limit[seen]
         ).rows,
     }
-    # Plain numbers, for every encoder.
-    return msgspec.to_builtins(found, enc_hook=np.generic.item)
+    return plain_values(found)
+
+
+def plain_values(values: Values) -> Values:
+    """Return values as plain numbers, for every encoder."""
+    return msgspec.to_builtins(values, enc_hook=np.generic.item)
 
 
 def find_holds(trajectory: Trajectory) -> list[Values]:
@@ -104,15 +108,28 @@ def find_holds(trajectory: Trajectory) -> list[Values]:
     from the first sample of all on [s]; `duration` to the first sample that is followed again, or
     to the end [s]; `samples` that were not followed.
     """
-    time = trajectory.time - trajectory.time[0]
+    return holds_in(trajectory.time, trajectory.valid, trajectory.rule.__getitem__)
+
+
+def holds_in(
+    instants: Array, valid: Array, rule_at: Callable[[int], str]
+) -> list[Values]:
+    """Find the holds of a motion (`find_holds`) by its columns.
+
+    Args:
+        instants: Instants [s], shape (T,).
+        valid: Which samples were followed, shape (T,).
+        rule_at: Returns the rule of a sample.
+    """
+    time = instants - instants[0]
     return [
         {
-            "rule": trajectory.rule[hold.start],
+            "rule": rule_at(hold.start),
             "start": time[hold.start],
             "duration": time[min(hold.stop, len(time) - 1)] - time[hold.start],
             "samples": hold.stop - hold.start,
         }
-        for hold in stretches(~trajectory.valid)
+        for hold in stretches(~valid)
     ]
 
 
@@ -256,7 +273,7 @@ def _held_share(summary: Values) -> str:
     )
 
 
-def _by_instants(trajectory: Trajectory) -> Values:
+def by_instants(trajectory: Trajectory) -> Values:
     """Judge what is written by its own instants; see `summarise`."""
     found: Values = dict.fromkeys(
         ("speed_over_limit_max", "acceleration_max", "steps_ms")

@@ -205,7 +205,7 @@ def map_recording(
         steps = follow_recording(follower, recording, wrist_poses)
     else:
         table = follower.map_samples(samples, progress)
-        return _trajectory(mapper.robot, recording.time, table)
+        return trajectory_of_table(mapper.robot, recording.time, table)
     return trajectory_of(mapper.robot, recording.time, steps, progress)
 
 
@@ -238,25 +238,35 @@ def trajectory_of(
             objects[i] = step.diagnostics.get("object_pose", np.nan)
         if progress:
             progress(i + 1)
-    made = _trajectory(robot, time, table)
+    made = trajectory_of_table(robot, time, table)
     is_known = np.isfinite(objects[:, 0, 0])
     if not is_known.any():
         return made
     return replace(made, object_pose=objects[held_samples(is_known)])
 
 
-def _trajectory(robot: Hand, time: Array, table: StepTable) -> Trajectory:
+def nothing_followed(rules: Array) -> InvalidInputError:
+    """Return the error of a motion in which no sample is followed.
+
+    Args:
+        rules: What is wrong with each sample, as an index in `RULE_NAMES`, shape (T,).
+    """
+    names = np.array(RULE_NAMES)[rules.astype(int)]
+    (name, count), *_ = Counter[Rule](names.tolist()).most_common(1)
+    return InvalidInputError(
+        argument="motion",
+        expected="at least one sample that makes sense",
+        got=f"none of {len(names)}; in {count}, {RULES.get(name, name)}",
+    )
+
+
+def trajectory_of_table(robot: Hand, time: Array, table: StepTable) -> Trajectory:
     """Fill the samples without a step, and measure; see `trajectory_of`."""
     status, rule, is_held, consistency, confidence, step_cpu = table.columns[6:]
-    rule = np.array(RULE_NAMES)[rule.astype(int)]
     is_held = is_held > 0.0
     if is_held.all():
-        (name, count), *_ = Counter[Rule](rule.tolist()).most_common(1)
-        raise InvalidInputError(
-            argument="motion",
-            expected="at least one sample that makes sense",
-            got=f"none of {len(rule)}; in {count}, {RULES.get(name, name)}",
-        )
+        raise nothing_followed(rule)
+    rule = np.array(RULE_NAMES)[rule.astype(int)]
     is_placed = ~np.isnan(table.rows[:, 0])
     is_placed[: np.argmin(is_held)] = False
     placed = held_samples(is_placed)
@@ -308,6 +318,11 @@ def map_hands(
     Raises:
         HandmapError: If a recording cannot be mapped.
     """
+    first = recordings[0]
+    if not robot.parts:
+        mapper = hand_mapper(first, robot, person, arguments)
+        trajectory = map_recording(mapper, first, progress)
+        return trajectory, mapper.method, trajectory.valid[:, None]
     used = {recording.side: recording for recording in recordings}
     humans = {
         side: scaled_human(
@@ -315,13 +330,8 @@ def map_hands(
         )
         for side, recording in used.items()
     }
-    first = recordings[0]
     human = humans[first.side]
     _, method, ik = arguments.preset_for(human, robot.hands[0], first.upright)
-    if not robot.parts:
-        mapper = HandMapper(human, robot, method, ik=ik)
-        trajectory = map_recording(mapper, first, progress)
-        return trajectory, mapper.method, trajectory.valid[:, None]
     follower = RobotFollower(RobotMapper(robot, humans, method, ik=ik))
     followed = []
 
@@ -336,6 +346,27 @@ def map_hands(
     time = max(recordings, key=len).time
     trajectory = trajectory_of(follower.mapper.robot, time, steps(), progress)
     return trajectory, method, np.array(followed)
+
+
+def hand_mapper(
+    recording: Recording, robot: Hand, person: Person, arguments: MappingArguments
+) -> HandMapper:
+    """Return what maps a recording of a person to a robot hand with the options of a command.
+
+    Args:
+        recording: The recording; its side and its world count.
+        robot: The robot hand.
+        person: The person.
+        arguments: Reference points and options.
+
+    Raises:
+        HandmapError: If the options do not fit.
+    """
+    human = scaled_human(
+        recording, points=arguments.human_points, lengths=person.lengths
+    )
+    _, method, ik = arguments.preset_for(human, robot, recording.upright)
+    return HandMapper(human, robot, method, ik=ik)
 
 
 def held_samples(valid: Array) -> Array:

@@ -8,7 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_core.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import (
+    HandmapError,
+    InvalidInputError,
+    RecordingError,
+    expect,
+)
 from handmap_core.plugins import Plugins
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import Recording, regular_time
@@ -25,6 +30,7 @@ from .base import (
 from .csv_files import CsvFormat
 from .hdf5 import EgoDexFormat, RobomimicFormat
 from .lerobot import LeRobotFormat
+from .long import OVERVIEW, SHORTEST, LongRecording
 from .mano import ManoFormat
 from .mcap import McapFormat
 from .objects import ArcticFormat, DexYcbFormat, GrabFormat, Hot3dFormat
@@ -98,6 +104,24 @@ class Source(NamedTuple):
             recording = self.format.read(self.path, self.entry)
             return recording.at_rate(self.format.hints.fps)
 
+    def read_long(self) -> Recording | LongRecording:
+        """Read the recording, or open it to be read by pieces if it is long.
+
+        Raises:
+            RecordingError: As `read`.
+        """
+        if self.entry.samples < SHORTEST:
+            return self.read()
+        try:
+            with reading(self.path):
+                long = self.format.open_long(self.path, self.entry)
+        except HandmapError:
+            if self.entry.samples > OVERVIEW:
+                raise
+            # Where it fits, say what is wrong in the words of `read`.
+            return self.read()
+        return long or self.read()
+
 
 def list_sources(
     path: Path | str, side: Side | None = None, *, fps: float | None = None
@@ -155,8 +179,20 @@ def read_hands(
         The two recordings by side.
 
     Raises:
+        HandmapError: As `find_hands`, and if a recording is damaged.
+    """
+    sources = find_hands(paths, fps=fps)
+    return {side: source.read() for side, source in sources.items()}
+
+
+def find_hands(
+    paths: Sequence[Path | str], *, fps: float | None = None
+) -> dict[Side, Source]:
+    """Find the recordings that `read_hands` reads, by side, without reading their samples.
+
+    Raises:
         InvalidInputError: If the files have other recordings than one of each hand.
-        HandmapError: As in `list_sources`, and if a recording is damaged.
+        HandmapError: As in `list_sources`.
     """
     hints = SIDES if len(paths) == len(SIDES) else [None] * len(paths)
     sources = [
@@ -171,7 +207,7 @@ def read_hands(
         "one recording of the left and one of the right hand",
         got=first_of(sides, 4),
     )
-    return {source.entry.side: source.read() for source in sources}
+    return {source.entry.side: source for source in sources}
 
 
 def read_recording(
@@ -199,13 +235,24 @@ def read_recording(
             side or no time, the message names the argument that gives it.
         MissingExtraError: If the format needs a package that is not installed.
     """
+    return find_source(path, side, fps=fps).read()
+
+
+def find_source(
+    path: Path | str, side: Side | None = None, *, fps: float | None = None
+) -> Source:
+    """Find the one recording that `read_recording` reads, without reading its samples.
+
+    Raises:
+        HandmapError: As `read_recording`.
+    """
     found = list_sources(path, side, fps=fps)
     sources = [source for source in found if source.entry.side == side] or found
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
         problem = f"{listing}: name one of them after {SEPARATOR}"
         raise RecordingError(problem, file=sources[0].path)
-    return sources[0].read()
+    return sources[0]
 
 
 def known_suffixes() -> Names:

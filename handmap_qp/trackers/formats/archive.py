@@ -4,20 +4,29 @@ Every damage becomes one `RecordingError`. The size of an archive is bounded bef
 nothing in it is unpickled, but by a reader that the caller gives.
 """
 
+import math
 import warnings
 import zipfile
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import (
+    Callable,
+    Container,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
 
-from handmap_core.errors import InvalidInputError
+from handmap_core.errors import InvalidInputError, RecordingError, expect
 from handmap_core.se3 import Array, Arrays, as_floats
 from handmap_qp.hands import Names, Side, Values
-from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
+from handmap_qp.human import LANDMARK_COUNT, Recording, RecordingPart, regular_time
 from handmap_qp.output_files import replaced_file
 from .base import (
     COLUMNS,
@@ -33,6 +42,8 @@ from .base import (
     side_of,
     time_in,
 )
+from .disk_columns import DiskColumn, write_npz
+from .long import PIECE, LongRecording, overview_of
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
@@ -48,6 +59,8 @@ _OF_VIDEO = ("right", "is_right", "pred_cam_t_full", "cam_t")
 """Arrays beside `pred_keypoints_3d` that say which hands these are, and where."""
 _READ_VIDEO = "install packages/hamer, which reads it, and give --fps (docs/files.md)"
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
+_STREAMED = ("wrist", "wrist_pose", "object_pose")
+"""Arrays of many numbers for a sample, besides the landmarks."""
 _EXPECTED = f"landmarks of one hand, shape (T, {LANDMARK_COUNT}, 3)"
 
 
@@ -56,6 +69,7 @@ class _Header(NamedTuple):
 
     shape: tuple[int, ...]
     dtype: np.dtype
+    is_by_rows: bool
 
 
 class NpzFormat(RecordingFormat):
@@ -105,22 +119,68 @@ class NpzFormat(RecordingFormat):
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""
-        prefix = f"{entry.name}_" if entry.name else ""
+        prefix = _prefix(entry)
         array = _landmark_array(member_names(path), prefix)
-        own = {prefix + name for name in _KNOWN}
+        streamed = {prefix + name for name in _STREAMED}
+        found, fields = self._fields(path, entry, {array} | streamed)
+        fields |= {
+            name: found[prefix + name] for name in _STREAMED if prefix + name in found
+        }
+        return build_recording(
+            path, entry, **fields, landmarks=found[array], prefix=prefix
+        )
+
+    def open_long(self, path: Path, entry: Entry) -> LongRecording | None:
+        """Open one hand of an archive, unless it has an object or poses as quaternions."""
+        prefix = _prefix(entry)
+        array = _landmark_array(member_names(path), prefix)
+        members = {"landmarks": array} | {name: prefix + name for name in _STREAMED}
+        headers = _read_headers(path, set(members.values()))
+        members = {name: m for name, m in members.items() if m in headers}
+        is_plain = all(
+            header.is_by_rows
+            and not header.dtype.hasobject
+            and header.shape[:1] == (entry.samples,)
+            for header in headers.values()
+        )
+        # Whether quaternions count is decided by all of them.
+        if "wrist_pose" in members or not is_plain:
+            return None
+        _, fields = self._fields(path, entry, set())
+        if fields["object_shape"]:
+            return None
+        if self.hints.fps is not None:
+            fields["time_source"] = f"{self.hints.fps:g} samples/s, as given"
+        return _open_long(_LongArchive(path, entry, fields, members))
+
+    def _fields(
+        self, path: Path, entry: Entry, others: set[str]
+    ) -> tuple[Arrays, Values]:
+        """Read what an archive says of one hand, but for `_STREAMED` and its landmarks.
+
+        Args:
+            path: The archive.
+            entry: The hand.
+            others: Arrays that are read too.
+
+        Returns:
+            The arrays by name, and what `build_recording` takes.
+        """
+        prefix = _prefix(entry)
+        known = [name for name in _KNOWN if name not in ("landmarks", *_STREAMED)]
+        own = {prefix + name for name in known}
         times = {before + name for before in (prefix, "") for name in TIME_UNITS}
-        found = read_archive(path, {array, "fps"} | own | times)
+        found = read_archive(path, {"fps"} | own | times | others)
         fields: Values = {
-            name: found[prefix + name] for name in _KNOWN if prefix + name in found
+            name: found[prefix + name] for name in known if prefix + name in found
         }
         fields |= {name: str(fields.get(name, "")) for name in WORDS}
-        fields["landmarks"] = found[array]
         fields["time"] = self._time_of(found, prefix, entry.samples)
         if self.hints.fps is None and "fps" in found and not times & found.keys():
             fields["time_source"] = (
                 f"{float(found['fps']):g} samples/s, as the file says"
             )
-        return build_recording(path, entry, **fields, prefix=prefix)
+        return found, fields
 
     def _time_of(self, arrays: Arrays, prefix: str, count: int) -> Array:
         """Return the instants of one hand: by the user's rate, of the file, or by its rate [s]."""
@@ -193,6 +253,11 @@ def _first(names: Iterable[str], among: Container[str]) -> str:
     return next((name for name in names if name in among), "")
 
 
+def _prefix(entry: Entry) -> str:
+    """Return what the names of the arrays of one hand begin with."""
+    return f"{entry.name}_" if entry.name else ""
+
+
 def _landmark_array(names: Container[str], prefix: str = "") -> str:
     """Return the name of the array of landmarks; empty if there is none."""
     return _first((prefix + name for name in LANDMARK_ARRAYS), names)
@@ -216,7 +281,7 @@ def _needed_landmark_array(names: set[str]) -> str:
 
 def _samples_in(path: Path, array: str) -> int:
     """Return how many samples an array of landmarks of an archive has, without reading them."""
-    headers = read_archive(path, {array}, _read_header)
+    headers = _read_headers(path, {array})
     return _count_samples(headers[array], array)
 
 
@@ -225,8 +290,8 @@ def _read_header(stream: IO[bytes]) -> _Header:
     version = npy.read_magic(stream)
     is_first = version == (1, 0)
     read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
-    shape, _, dtype = read(stream)
-    return _Header(shape, dtype)
+    shape, is_fortran, dtype = read(stream)
+    return _Header(shape, dtype, not is_fortran or len(shape) < 2)
 
 
 def _count_samples(header: _Header, name: str = "") -> int:
@@ -250,6 +315,34 @@ def _count_samples(header: _Header, name: str = "") -> int:
         )
     got = f"shape {header.shape}"
     raise InvalidInputError(argument=name, expected=_EXPECTED, got=got, advice=advice)
+
+
+def _read_headers(file: Path, names: set[str]) -> dict[str, _Header]:
+    """Read what arrays of an archive are, however large they are."""
+    with _opened(file) as (archive, members):
+        headers = {}
+        for name in names & members.keys():
+            with _reading_array(file, name), archive.open(members[name]) as stream:
+                headers[name] = _read_header(stream)
+        return headers
+
+
+def array_shapes(file: Path, names: set[str]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of arrays of an archive, without reading them; of those that it has.
+
+    Raises:
+        RecordingError: If the file cannot be read, or is not an archive of plain arrays.
+    """
+    return {name: header.shape for name, header in _read_headers(file, names).items()}
+
+
+@contextmanager
+def _reading_array(file: Path, name: str) -> Iterator[None]:
+    """Read one array: errors become `RecordingError`."""
+    with reading(file, "is not a plain array", name), warnings.catch_warnings():
+        # numpy warns of headers that Python 2 wrote.
+        warnings.simplefilter("ignore")
+        yield
 
 
 def member_names(file: Path) -> set[str]:
@@ -287,18 +380,128 @@ def read_archive(
             raise InvalidInputError(problem)
         arrays = {}
         for name, member in chosen.items():
-            with (
-                reading(file, "is not a plain array", name),
-                archive.open(member) as stream,
-                warnings.catch_warnings(),
-            ):
-                # numpy warns of headers that Python 2 wrote.
-                warnings.simplefilter("ignore")
+            with _reading_array(file, name), archive.open(member) as stream:
                 arrays[name] = read(stream)
         return arrays
 
 
-def save_npz(path: Path, arrays: Arrays, argument: str = "path") -> None:
+class _LongArchive:
+    """One hand of an archive, whose large arrays are read by pieces.
+
+    Args:
+        path: The archive.
+        entry: The hand.
+        fields: What `build_recording` takes of all samples.
+        members: Names of the arrays that are read by pieces, by their fields.
+    """
+
+    def __init__(
+        self, path: Path, entry: Entry, fields: Values, members: dict[str, str]
+    ) -> None:
+        self.path = path
+        self.count = entry.samples
+        self._entry = entry
+        self._words = {name: fields[name] for name in WORDS}
+        count = self.count
+        # As they are in the file: flags take an eighth of the memory of floats.
+        self._columns = {
+            name: np.asarray(fields[name])
+            for name in ("time", "valid", "confidence")
+            if name in fields
+        }
+        for name, values in self._columns.items():
+            as_floats(values, name, shape=(count,))
+        steps = np.diff(as_floats(self._columns["time"], "time", is_finite=True))
+        expect((steps > 0.0).all(), "time", "increasing instants")
+        shares = self._columns.get("confidence")
+        if shares is not None and np.isnan(as_floats(shares, "confidence")).all():
+            del self._columns["confidence"]
+        self._members = {
+            name: member
+            for name, member in members.items()
+            if name == "landmarks" or self._is_known(member)
+        }
+
+    def _is_known(self, member: str) -> bool:
+        """Tell whether an array has a number that is not NaN."""
+        return any(not np.isnan(rows).all() for rows in self._rows([member], PIECE))
+
+    def _rows(self, names: Sequence[str], size: int) -> Iterator[tuple[Array, ...]]:
+        """Read arrays side by side, so many rows at once."""
+        with _opened(self.path) as (archive, members), ExitStack() as opened:
+            streams = [opened.enter_context(archive.open(members[n])) for n in names]
+            headers = []
+            for name, stream in zip(names, streams, strict=True):
+                with _reading_array(self.path, name):
+                    headers.append(_read_header(stream))
+            for start in range(0, self.count, size):
+                count = min(size, self.count - start)
+                pieces = []
+                for name, stream, header in zip(names, streams, headers, strict=True):
+                    shape = (count, *header.shape[1:])
+                    with _reading_array(self.path, name):
+                        data = stream.read(header.dtype.itemsize * math.prod(shape))
+                        pieces.append(np.frombuffer(data, header.dtype).reshape(shape))
+                yield tuple(pieces)
+
+    def parts(self) -> Iterator[Recording]:
+        """Read the hand from the first sample on.
+
+        Yields:
+            All samples in the order of time, `PIECE` at once.
+
+        Raises:
+            RecordingError: If the file is damaged, or a sample is wrong.
+        """
+        names = tuple(self._members)
+        start = 0
+        for pieces in self._rows([*self._members.values()], PIECE):
+            stop = start + len(pieces[0])
+            columns: Values = {
+                name: values[start:stop] for name, values in self._columns.items()
+            }
+            columns |= zip(names, pieces, strict=True)
+            try:
+                part = build_recording(
+                    self.path,
+                    self._entry,
+                    **columns,
+                    prefix=_prefix(self._entry),
+                    kind=RecordingPart,
+                    **self._words,
+                )
+            except RecordingError as error:
+                error.problem += f", counted from sample {start}"
+                raise
+            yield _with_unknown(part, columns)
+            start = stop
+
+
+def _with_unknown(part: Recording, columns: Container[str]) -> Recording:
+    """Return a part with all columns of its recording: NaN where it has none of their numbers.
+
+    Raises:
+        InvalidInputError: If a sample in which the hand was seen has none.
+    """
+    lost: Arrays = {}
+    for name in ("wrist", "object_pose", "confidence"):
+        if name in columns and getattr(part, name) is None:
+            known = "numbers wherever the hand was seen"
+            expect(not part.valid.any(), name, known, got="none")
+            shape = (len(part),) if name == "confidence" else (len(part), 4, 4)
+            lost[name] = np.full(shape, np.nan)
+    return replace(part, **lost)
+
+
+def _open_long(archive: _LongArchive) -> LongRecording:
+    """Read a hand of an archive for the first time, and return what reads it again."""
+    overview = overview_of(archive.parts(), archive.count)
+    return LongRecording(overview, archive.count, archive.parts)
+
+
+def save_npz(
+    path: Path, arrays: Mapping[str, Array | DiskColumn], argument: str = "path"
+) -> None:
     """Write arrays to an `.npz` file atomically: an earlier file stays if writing fails.
 
     Args:
@@ -310,7 +513,7 @@ def save_npz(path: Path, arrays: Arrays, argument: str = "path") -> None:
         InvalidInputError: If the file cannot be written.
     """
     with replaced_file(path, argument) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        write_npz(file, arrays, is_compressed=True)
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from handmap_qp.human import (
     finite_samples,
     regular_time,
 )
+from .long import LongRecording
 
 COLUMNS: dict[str, Names] = {
     "time": ("time",),
@@ -203,6 +204,13 @@ class RecordingFormat(abc.ABC):
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one recording."""
 
+    def open_long(self, path: Path, entry: Entry) -> LongRecording | None:
+        """Open one recording to read it by pieces; None if it has to be read as a whole.
+
+        Recordings that cannot be read have to be read as a whole too, which says what is wrong.
+        """
+        return None
+
     def unread(self, path: Path) -> Names:
         """Name what a file holds besides what `Recording` can hold."""
         return self.left_out
@@ -338,6 +346,7 @@ def build_recording(
     object_pose: Any = None,
     confidence: Any = None,
     name: str = "",
+    kind: type[Recording] = Recording,
     **words: str,
 ) -> Recording:
     """Build a recording from the arrays of a file; samples that are not finite are not valid.
@@ -356,6 +365,7 @@ def build_recording(
         object_pose: As `wrist`, of an object.
         confidence: As in `Recording`; an array of NaN counts as none.
         name: As in `Recording`; `entry_stem` if empty.
+        kind: What to build: a `RecordingPart` of some of the samples.
         words: Those of `WORDS`.
 
     Raises:
@@ -374,7 +384,7 @@ def build_recording(
             if np.isfinite(sevens).all():
                 poses = np.tile(np.eye(4), (len(seen), 1, 1))
                 poses[seen] = pose_from_xyz_quat(sevens, "wxyz", "wrist_pose")
-        return Recording(
+        return kind(
             name or entry_stem(path, entry),
             time,
             points,

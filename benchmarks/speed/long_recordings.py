@@ -1,0 +1,131 @@
+"""Memory of `handmap retarget` and `handmap batch` for recordings of both hands, by their length.
+
+    python benchmarks long_recordings --hours 0.167 1
+    python benchmarks long_recordings --hours 24 --command retarget
+
+Each command runs in a process of its own, which prints its peak resident memory (VmHWM of the
+kernel: code, libraries and all arrays). `above` is what that is over the same command on the
+recording of 4 s that comes with the package. The recordings are made of that one, played to and
+fro, by pieces, at 30 Hz in double precision.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from common import print_table
+from numpy.lib import format as npy
+
+from handmap_core.se3 import Array
+from handmap_qp import read_recording
+from handmap_qp.trackers import SIDES
+
+FPS = 30
+_RUN = """
+import sys
+from pathlib import Path
+from handmap_qp.cli import main
+
+code = main(sys.argv[1:])
+status = Path("/proc/self/status").read_text()
+print("VmHWM", status.split("VmHWM:")[1].split()[0], file=sys.stderr)
+sys.exit(code)
+"""
+
+
+def main() -> None:
+    """Make recordings, map them, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hours", type=float, nargs="+", default=[1.0 / 6.0, 1.0])
+    parser.add_argument(
+        "--command", choices=("retarget", "batch"), nargs="+", default=["retarget"]
+    )
+    parser.add_argument("--folder", type=Path, help="where the files are made")
+    given = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
+        folder = Path(temporary)
+        for command in given.command:
+            least, _ = _peak(command, Path("demo"), folder / "demo")
+            for hours in given.hours:
+                frames = round(3600 * FPS * hours)
+                file = folder / "hours.npz"
+                make_hours(file, frames)
+                peak, seconds = _peak(command, file, folder / f"{hours:g}")
+                rows.append(
+                    {
+                        "command": command,
+                        "hours": hours,
+                        "frames": frames,
+                        "file [MB]": file.stat().st_size / 1e6,
+                        "peak [MB]": peak,
+                        "above [MB]": peak - least,
+                        "time [s]": seconds,
+                    }
+                )
+    print_table("Peak resident memory by length", rows)
+
+
+def make_hours(file: Path, frames: int) -> None:
+    """Write a recording of both hands by pieces."""
+    hand = read_recording("demo", "right")
+    seen = hand.landmarks[hand.valid]
+    right = np.concatenate([seen, seen[::-1]])
+    hands = {"left": right * (-1.0, 1.0, 1.0), "right": right}
+    with zipfile.ZipFile(file, "w") as archive:
+        for side in SIDES:
+            columns = {
+                f"{side}_time": iter([np.arange(frames) / FPS]),
+                f"{side}_landmarks": _repeated(hands[side], frames),
+            }
+            for name, pieces in columns.items():
+                first = next(pieces)
+                header = {
+                    "descr": "<f8",
+                    "fortran_order": False,
+                    "shape": (frames, *first.shape[1:]),
+                }
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    npy.write_array_header_1_0(member, header)
+                    member.write(first.tobytes())
+                    for piece in pieces:
+                        member.write(piece.tobytes())
+
+
+def _repeated(rows: Array, count: int) -> Iterator[Array]:
+    """Repeat rows until there are so many."""
+    for start in range(0, count, len(rows)):
+        yield rows[: count - start]
+
+
+def _peak(command: str, file: Path, out: Path) -> tuple[float, float]:
+    """Run a command on a file; return its peak resident memory [MB] and its time [s]."""
+    words = {
+        "retarget": ["--robot", "allegro_right", "--out", f"{out}.npz"],
+        "batch": ["--robot", "allegro", "--out", str(out), "--workers", "0"],
+    }
+    if command == "batch" and str(file) == "demo":
+        file = out.with_suffix(".npz")
+        make_hours(file, 120)
+    started = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, command, str(file), *words[command]],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        sys.exit(f"{command} failed: {done.stderr[-2000:]}")
+    return int(done.stderr.split("VmHWM")[-1]) / 1024.0, time.monotonic() - started
+
+
+if __name__ == "__main__":
+    main()
