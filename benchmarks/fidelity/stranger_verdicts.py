@@ -176,7 +176,9 @@ def _wrong_keys(
         yield WrongKey("hands", f"{len(result.hands)} of {len(one.hands)}")
         return
     robot = Robot(result.converted or file)
-    expect_names(one, robot)
+    if held := find_held(one, robot, file):
+        yield WrongKey("chains", f"held: {', '.join(held)}")
+        return
     sides = {hand.side: hand for hand in one.hands}
     for found in result.hands:
         truth = sides.get(found.hand.spec.side) or one.hands[0]
@@ -190,19 +192,23 @@ def _wrong_keys(
             )
 
 
-def expect_names(one: Stranger, robot: Robot) -> None:
-    """Reject a truth that names links or joints that the file does not have.
+def find_held(one: Stranger, robot: Robot, file: Path) -> list[str]:
+    """Return joints of the truth that the file has, and that were made fixed.
 
     Raises:
-        HandmapError: If it does.
+        HandmapError: If the truth names links or joints that the file does not have.
     """
+    held = set[str]()
     for truth in one.hands:
         links = {truth.palm, truth.frame or truth.palm} - robot.frames.keys()
         joints = {*_true_joints(truth), *truth.closes, *truth.straight}
-        unknown = {*filter(None, joints)} - {*robot.model.names} | links
+        held |= {*filter(None, joints)} - {*robot.model.names}
+        text = file.read_text(encoding="utf-8", errors="replace")
+        unknown = {joint for joint in held if f'"{joint}"' not in text} | links
         if unknown:
             named = ", ".join(sorted(unknown))
             raise HandmapError(f"{one.name}: the file has no {named}")
+    return sorted(held)
 
 
 def _is_doubted(key: str, findings: Iterable[HandFinding], start: str) -> bool:

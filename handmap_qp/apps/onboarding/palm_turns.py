@@ -18,8 +18,8 @@ from handmap_qp.hands import (
     find_fingers,
     load_hand,
 )
-from .anatomy import NARROW
 from .finger_names import named_fingers
+from .finger_order import NARROW
 from .finger_permutation import with_names
 
 Turn = Literal["x", "y", "z", "dorsal", "distal"]
