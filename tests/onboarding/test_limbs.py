@@ -153,3 +153,31 @@ def test_what_is_passed_over_is_named_with_its_margin_and_how_to_choose_it() -> 
     # A hand that nothing competes with has no such note.
     alone = detect(Path("x"), _robot((arm, _fork("x"))))
     assert not any("no hand" in note for note in alone.notes)
+
+
+def test_coupled_joints_without_limits_are_no_wheels(tmp_path: Path) -> None:
+    """Wheels turn by themselves; a gripper whose file lacks its limits does not."""
+    free = _robot((("base_arm",), _fork("base_arm", PLAIN[:2])))
+    free = free.replace('type="revolute"', 'type="continuous"')
+    leader = "a_0_joint"
+    parts = free.split('<limit lower="0"')
+    names = [part.rpartition('<joint name="')[2].partition('"')[0] for part in parts]
+    rule = f'<mimic joint="{leader}"/><limit lower="0"'
+    coupled = "".join(
+        part
+        + (
+            ""
+            if i == len(parts) - 1
+            else rule
+            if name != leader
+            else '<limit lower="0"'
+        )
+        for i, (part, name) in enumerate(zip(parts, names, strict=True))
+    )
+    file = tmp_path / "jaws.urdf"
+    file.write_text(free)
+    with pytest.raises(HandError, match="no hand found"):
+        detect(file)
+    file.write_text(coupled)
+    assert Robot(file).endless == set()
+    assert find_palms(Robot(file)) == ["base_arm"]

@@ -121,9 +121,11 @@ class Robot(Hand):
         (self.root,) = root_links(robot)
         for name in fix_free_joints(robot):
             self._remark(name, "has more than one coordinate: it is taken as fixed")
-        self.endless = {*joints_by_name(robot, ["continuous"])}
         joints = joints_by_name(robot, MOVABLE)
         rules = mimics_of(robot)
+        # What is coupled is no wheel: its file only lacks the limits.
+        coupled = {*rules, *(rule.joint for rule in rules.values())}
+        self.endless = {*joints_by_name(robot, ["continuous"])} - coupled
         lost = [n for n in joints if n in rules and rules[n].joint not in joints]
         for name in lost:
             self._remark(
