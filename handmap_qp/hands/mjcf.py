@@ -14,6 +14,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -207,11 +208,15 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     return worst
 
 
-def cached_urdf(file: Path) -> Path:
+def cached_urdf(file: Path, converted: ConvertedMjcf | None = None) -> Path:
     """Return the URDF of an MJCF file in the user's cache; its meshes lie beside it.
 
     It is converted again if an XML file beside the MJCF has changed. The cache is in
     `$XDG_CACHE_HOME`, else in `~/.cache`.
+
+    Args:
+        file: The MJCF file.
+        converted: Its conversion, if there is one already.
 
     Raises:
         HandError: If MuJoCo cannot compile the file, or the cache cannot be written.
@@ -227,7 +232,7 @@ def cached_urdf(file: Path) -> Path:
     urdf = folder / f"{file.stem}.urdf"
     if urdf.is_file():
         return urdf
-    converted = ConvertedMjcf(file)
+    converted = converted or ConvertedMjcf(file)
     try:
         cache.mkdir(parents=True, exist_ok=True)
         # Another process may convert the same file: the first complete folder stays.
@@ -259,9 +264,6 @@ class ConvertedMjcf:
         model: The compiled model.
         links: Name of the link of each body, by the body's index.
         joints: Name of each hinge and slide joint, by its index.
-        speeds: Top speed of hinges and slides under their actuators (`top_speeds`) by name [rad/s
-            or m/s], which the URDF does not have. Joints without one get the median of their type;
-            empty if no actuator of that type tells one.
 
     Raises:
         HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
@@ -296,7 +298,6 @@ class ConvertedMjcf:
             f"MuJoCo has no speed limits: the URDF has {speeds}",
             *self._couplings.notes,
         )
-        self.speeds = self._speeds()
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
         self.text = self._described(name)
@@ -327,8 +328,13 @@ class ConvertedMjcf:
         self._taken.add((kind, found.lower()))
         return found
 
-    def _speeds(self) -> dict[str, float]:
-        """Return the top speeds of joints by name; see `speeds`."""
+    @cached_property
+    def speeds(self) -> dict[str, float]:
+        """Top speed of each hinge and slide under its actuators (`top_speeds`) by name.
+
+        In rad/s or m/s; the URDF does not have it. Joints without one get the median of their type;
+        it is empty if no actuator of that type tells one.
+        """
         known = top_speeds(self.model)
         kinds = self.model.jnt_type
         usual = dict[int, list[float]]()

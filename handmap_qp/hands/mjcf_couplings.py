@@ -103,7 +103,7 @@ def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> Couplings
     return found._replace(notes=notes + _tendon_notes(model, names, found.rules))
 
 
-def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+def fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     """Return the joints of a fixed tendon with their factors; empty for a spatial tendon."""
     first = model.tendon_adr[tendon]
     wraps = slice(first, first + model.tendon_num[tendon])
@@ -118,7 +118,7 @@ def _tendon_notes(
 ) -> list[str]:
     """Name the independent joints that fixed tendons couple, and count the other tendons."""
     notes = []
-    tendons = [_fixed_tendon(model, i) for i in range(model.ntendon)]
+    tendons = [fixed_tendon(model, i) for i in range(model.ntendon)]
     coupled = []
     for i, factors in enumerate(tendons):
         if factors.keys() <= names.keys():
@@ -225,7 +225,7 @@ class _Constraints:
         motors = model.actuator_trntype
         joint, tendon = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)
         is_known = all(
-            kind == joint or (kind == tendon and _fixed_tendon(model, target))
+            kind == joint or (kind == tendon and fixed_tendon(model, target))
             for kind, target in zip(motors, model.actuator_trnid[:, 0], strict=True)
         )
         driven = self._driven()
@@ -256,7 +256,7 @@ class _Constraints:
         targets = model.actuator_trnid[:, 0]
         driven = {*targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)].tolist()}
         for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)]:
-            driven.update(_fixed_tendon(model, tendon))
+            driven.update(fixed_tendon(model, tendon))
         return driven
 
     def advice(self, rules: Rules) -> str:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from handmap_core.se3 import Array
+from .mjcf_couplings import fixed_tendon
 from .urdf import FASTEST_SPEEDS
 
 # Step of the integration, and its longest time [s].
@@ -23,7 +24,6 @@ _JOINTS = {
     int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
 }
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
-_WRAPPED_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -145,14 +145,9 @@ def _moved(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     if kind in _JOINTS:
         factors = {target: gear}
     elif kind == _TENDON:
-        first = model.tendon_adr[target]
-        wraps = slice(first, first + model.tendon_num[target])
         # The lever of a tendon that is no sum of joints depends on the posture.
-        if (model.wrap_type[wraps] == _WRAPPED_JOINT).all():
-            levers = gear * model.wrap_prm[wraps]
-            factors = dict(
-                zip(model.wrap_objid[wraps].tolist(), levers.tolist(), strict=True)
-            )
+        levers = fixed_tendon(model, target)
+        factors = {moved: gear * lever for moved, lever in levers.items()}
     return {
         joint: factor
         for joint, factor in factors.items()

@@ -130,7 +130,7 @@ def open_source(
 
     if source or not folder:
         converted = mjcf.ConvertedMjcf(path)
-        urdf = mjcf.cached_urdf(path)
+        urdf = mjcf.cached_urdf(path, converted)
         return RobotSource(urdf, named, converted.notes, converted.speeds)
     urdf = folder / f"{path.stem}.urdf"
     converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
