@@ -131,6 +131,7 @@ class _MeshFolder:
         self._most = most
         self.names: dict[tuple[Path, str], str] = {}
         """Path in the folder of each file, as it is, as a hull, or with few triangles."""
+        self._added: dict[tuple[Path, bool], str] = {}
 
     def add(self, file: Path, is_felt: bool) -> str:
         """Write a mesh for collisions or for the eye; return its path in the folder.
@@ -138,6 +139,12 @@ class _MeshFolder:
         Raises:
             HandError: If it cannot be read.
         """
+        # Fingers share their meshes: each file is read once.
+        if (file, is_felt) not in self._added:
+            self._added[file, is_felt] = self._write(file, is_felt)
+        return self._added[file, is_felt]
+
+    def _write(self, file: Path, is_felt: bool) -> str:
         trimesh = require("trimesh", "plot")
         try:
             mesh = trimesh.load(file, force="mesh")
