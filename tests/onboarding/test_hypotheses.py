@@ -13,6 +13,7 @@ from handmap_qp.apps.onboarding.anatomy import Anatomy, find_anatomy
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.hypotheses import TERMS, Hypothesis, score
 from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.apps.onboarding.structure import find_structure
 from handmap_qp.apps.onboarding.two_hands import PairedSide
 from handmap_qp.hands import Side
 
@@ -24,7 +25,8 @@ HAND = BoxHand(turn=np.eye(3), names=PLAIN)
 
 
 def _anatomy(hand: BoxHand, paired: PairedSide | None = None) -> Anatomy:
-    return find_anatomy(Robot(Path("x"), hand.urdf()), paired=paired)
+    robot = Robot(Path("x"), hand.urdf())
+    return find_anatomy(robot, find_structure(robot), paired=paired)
 
 
 def _leader(anatomy: Anatomy, without: str = "") -> tuple[Hypothesis, float]:

@@ -20,7 +20,7 @@ from .layout import lay_out
 from .palm_directions import find_distal, find_dorsal, thumb_height
 from .robot import Robot
 from .sides import Declared, find_radial, find_side
-from .structure import Clue, RobotFinger, find_structure
+from .structure import Clue, RobotFinger, Structure
 from .thumbs import find_thumb
 from .two_hands import PairedSide
 from .vectors import shown
@@ -57,6 +57,7 @@ class Parts(NamedTuple):
 
 def find_anatomy(
     robot: Robot,
+    structure: Structure,
     side: Side | None = None,
     thumb: str | None = None,
     paired: PairedSide | None = None,
@@ -64,15 +65,16 @@ def find_anatomy(
     """Return what a hand most likely is, of all that it may be.
 
     Args:
-        robot: The robot; the palm becomes its own.
+        robot: The robot.
+        structure: Its palm and fingers.
         side: The side, if known.
         thumb: A link or joint of the thumb, if known.
         paired: The side by the other hand of a robot, if there is one.
 
     Raises:
-        HandError: If the robot is no hand, or no finger has that link or joint.
+        HandError: If no finger has that link or joint.
     """
-    palm, fingers, notes = find_structure(robot)
+    palm, fingers, notes = structure
     names = [[*finger.joint_names, *finger.links] for finger in fingers]
     labels = named_fingers(names)
     flexion = HandFlexion(robot, fingers, has_thumb=THUMB in labels)
@@ -171,7 +173,6 @@ class Anatomy:
             for each in (distal, turned)
         ]
         self.clues = [parts.palm, clue, *directions, found, order]
-        self.sure = {clue.what: clue.confidence for clue in self.clues}
         is_over = bool(turned.answer @ dorsal.answer < 0.0)
         has_side = radial.confidence > 0.2
         self._weigh(dorsal, has_side=has_side, sense=-1.0 if is_over else 1.0)
@@ -214,7 +215,11 @@ class Anatomy:
             else clue
             for clue in self.clues
         ]
-        self.sure = {clue.what: clue.confidence for clue in self.clues}
+
+    @property
+    def sure(self) -> dict[str, float]:
+        """Confidence in each answer, from 0 to 1."""
+        return {clue.what: clue.confidence for clue in self.clues}
 
     def _declare(self, given: Side | None) -> Declared:
         """Return the side that is given, of the other hand or in the names."""

@@ -188,16 +188,17 @@ def _detect(
         may_be_rigid: Whether the hand may hang from the base without a joint.
     """
     robot = Robot(urdf, text, root=root)
-    find_structure(robot)
+    structure = find_structure(robot)
     palm = robot.palm_frame.name
     joints, above = left_out_wrist(robot, palm)
     notes = passed_over(robot)
     if root is None and palm != robot.root:
         robot = Robot(urdf, text, root=palm)
+        structure = find_structure(robot)
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes.append(f"{what}; keep them with --base {above}")
-    hand = find_anatomy(robot, side, thumb, paired)
+    hand = find_anatomy(robot, structure, side, thumb, paired)
     part = robot if base is None else Robot(urdf, text, root=base)
     spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
     notes += [*hand.notes, *robot.remarks]

@@ -43,8 +43,8 @@ _PARTS = """
 """
 # Names of phalanges beside that of the middle one.
 _PHALANX = re.compile("prox|dist", re.IGNORECASE)
-# `FFJ4`: FFJ, 4; `IndexTip`: Index, Tip.
-_TOKEN = re.compile("[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
+TOKEN = re.compile("[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
+"""Words of a name: `FFJ4` has FFJ and 4, `IndexTip` Index and Tip."""
 # `fore_finger` and the like are one word.
 _SPLIT_WORD = re.compile("(fore|first|mid|long|small)[_ -](?=finger)", re.IGNORECASE)
 # Long words count within tokens that are not made of known words too.
@@ -193,7 +193,7 @@ def _claim(tokens: Sequence[list[_Word]], kinds: set[str]) -> dict[str, float]:
 
 def _fingers_of(name: str) -> list[list[_Word]]:
     """Return the fingers that each token of a name contains."""
-    tokens = [token.lower() for token in _TOKEN.findall(_SPLIT_WORD.sub(r"\1", name))]
+    tokens = [token.lower() for token in TOKEN.findall(_SPLIT_WORD.sub(r"\1", name))]
     found = [_words_in(token) for token in tokens]
     letters = [
         [_BY_LETTER[token]] if k and token in _BY_LETTER else []

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from handmap_qp.hands import Names, human
+from handmap_qp.hands import THUMB, Names, human
 from .hypotheses import CERTAIN, DISPUTED, LIKELY
 from .layout import Layout
 from .structure import Clue
@@ -60,7 +60,7 @@ def name_fingers(
         how += f"; the names say {', '.join(own.values())}"
         confidence = min(confidence, DISPUTED)
     if layout.thumb is not None:
-        named = {layout.thumb: "thumb", **named}
+        named = {layout.thumb: THUMB, **named}
     return named, Clue("fingers", ", ".join(named.values()), how, confidence)
 
 

@@ -21,6 +21,7 @@ from handmap_qp.hands import (
     ends_of,
     nearing,
 )
+from .vectors import UNKNOWN
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
@@ -37,8 +38,6 @@ _MANY = 3
 # Confidence in their flexion from zero, and in that of a finger beside them.
 _UNFOLDED = 0.95
 _BESIDE = 0.7
-# A direction that is not known.
-_UNKNOWN = np.zeros(3)
 
 
 class HandFlexion:
@@ -76,7 +75,7 @@ class HandFlexion:
         self,
         robot: Hand,
         fingers: Sequence[Finger],
-        palmar: Array = _UNKNOWN,
+        palmar: Array = UNKNOWN,
         *,
         has_thumb: bool = False,
     ) -> None:

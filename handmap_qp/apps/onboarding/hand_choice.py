@@ -1,6 +1,5 @@
 """Choose which part of a robot is the hand: roots to detect from, and links of its palm."""
 
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from handmap_qp.hands import (
 )
 from .detect import Detection, detect
 from .edit import described
-from .robot import Robot
+from .robot import Robot, carriers
 from .write import RobotSource, open_source
 
 
@@ -49,7 +48,7 @@ def palm_links(hand: Hand) -> Names:
     """Return the links from which all fingers branch, the root first: each can be the palm's."""
     _, parents, _ = _tree(hand)
     ways = [
-        [*_carriers(parents, point.link)] for point in hand.spec.points if point.finger
+        [*carriers(parents, point.link)] for point in hand.spec.points if point.finger
     ]
     shared = [link for link in ways[0] if all(link in way for way in ways)]
     return tuple(dict.fromkeys([*reversed(shared), hand.spec.palm.link]))
@@ -61,11 +60,11 @@ def links_of_hand(hand: Hand) -> Names:
     Others, of an arm or of the rest of a robot, are not moved by the hand.
     """
     robot, parents, fixed = _tree(hand)
-    way = [*_carriers(parents, hand.spec.palm.link)]
+    way = [*carriers(parents, hand.spec.palm.link)]
     # The first link of the palm's body: from it on, all joints up to the palm's link are fixed.
     moving = (i for i, link in enumerate(way) if link not in fixed)
     first = way[next(moving, len(way) - 1)]
-    return tuple(link for link in robot if first in _carriers(parents, link))
+    return tuple(link for link in robot if first in carriers(parents, link))
 
 
 def _tree(hand: Hand) -> tuple[list[str], dict[str, str], set[str]]:
@@ -78,14 +77,6 @@ def _tree(hand: Hand) -> tuple[list[str], dict[str, str], set[str]]:
         if joint.get("type") not in MOVABLE:
             fixed.add(child)
     return [link.get("name", "") for link in robot.iterfind("link")], parents, fixed
-
-
-def _carriers(parents: dict[str, str], link: str) -> Iterator[str]:
-    """Yield a link and all that carry it, up to the root."""
-    yield link
-    while link in parents:
-        link = parents[link]
-        yield link
 
 
 def first_hand(urdf: Path) -> Detection:

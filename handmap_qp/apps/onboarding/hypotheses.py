@@ -106,12 +106,9 @@ class Hypothesis(NamedTuple):
 
     def differences(self, other: "Hypothesis") -> list[str]:
         """Return in which answers two hypotheses differ."""
-        found = {
-            "thumb": self.thumb != other.thumb,
-            "side": self.side != other.side,
-            "dorsal": self.is_turned != other.is_turned,
-        }
-        return [what for what, differs in found.items() if differs]
+        whats = ("thumb", "side", "dorsal")
+        answers = zip(whats, self.answer, other.answer, strict=True)
+        return [what for what, mine, theirs in answers if mine != theirs]
 
     def doubt(self, following: "Hypothesis") -> str:
         """Return a note about the next hypothesis, and how to choose it, if it is near."""

@@ -6,7 +6,7 @@ from handmap_core.se3 import Array, lengths, unit
 from .hypotheses import CERTAIN, DISPUTED, LIKELY
 from .layout import Layout
 from .structure import Clue
-from .vectors import angle_between, beside, snapped, widest
+from .vectors import UNKNOWN, angle_between, beside, nearest_axis, snapped, widest
 
 # Length of the mean unit vector of fingers that agree.
 _AGREED = 0.85
@@ -21,8 +21,6 @@ _OBLIQUE = 30.0
 _LONGER = 1.3
 _SHORT = 0.15
 _UPRIGHT = 8.0
-# A direction that is not known.
-_UNKNOWN = np.zeros(3)
 
 
 def find_distal(layout: Layout) -> Clue:
@@ -82,10 +80,9 @@ def _along_fixed_jaw(layout: Layout) -> Array:
     surface = layout.surface
     fixed = np.flatnonzero(~flexion.moves.any(axis=1))
     if not len(fixed) or not len(surface):
-        return _UNKNOWN
+        return UNKNOWN
     line = unit(beside(flexion.directions[fixed[0]], flexion.hinges[fixed[0]]))
-    nearest = np.abs(line).argmax()
-    ahead = np.sign(line[nearest]) * np.eye(3)[nearest]
+    nearest, ahead = nearest_axis(line)
     sizes = np.ptp(surface, axis=0)
     short = (surface @ ahead).max() - flexion.tips_open[fixed[0]] @ ahead
     is_along = (
@@ -94,7 +91,7 @@ def _along_fixed_jaw(layout: Layout) -> Array:
         and sizes[nearest] > _LONGER * np.delete(sizes, nearest).max()
         and short < _SHORT * sizes[nearest]
     )
-    return ahead if is_along else _UNKNOWN
+    return ahead if is_along else UNKNOWN
 
 
 def find_dorsal(layout: Layout, distal: Clue) -> Clue:

@@ -8,7 +8,7 @@ written to the `hand.yaml` for its owner to correct.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from itertools import chain, compress
 from pathlib import Path
@@ -56,6 +56,19 @@ _STRAY = 0.02
 _MOST_NAMES = 12
 # Most surface points kept of one mesh.
 _MOST_POINTS = 3000
+
+
+def carriers(parents: Mapping[str, str], link: str) -> Iterator[str]:
+    """Yield a link and all that carry it, up to the root.
+
+    Args:
+        parents: Parent of each link but the root.
+        link: The link.
+    """
+    yield link
+    while link in parents:
+        link = parents[link]
+        yield link
 
 
 class Robot(Hand):

@@ -16,7 +16,7 @@ import pinocchio as pin
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
 from handmap_qp.hands import LOOP_END, Finger, ends_of, origin_of
 from .limbs import LONGEST_FINGER, finger_evidence, palm_evidence
-from .robot import Robot
+from .robot import Robot, carriers
 
 # A chain that moves its end by less than this is a motor or a sensor, not a finger [m].
 _LEAST_TRAVEL = 0.004
@@ -105,9 +105,7 @@ class RobotFinger(Finger):
         self.drivers = [robot.joint_names[column] for column in self.columns]
         self.links = [robot.links[joint][0] for joint in joints]
         link = robot.parents[self.links[0]] if joints else self.end.answer
-        self.carriers = [link]
-        while link := robot.parents.get(link):
-            self.carriers.append(link)
+        self.carriers = [*carriers(robot.parents, link)]
         steps = [robot.model.jointPlacements[joint].translation for joint in joints[1:]]
         self.length = lengths(np.vstack([*steps, self.tip[1]])).sum()
 
@@ -118,12 +116,22 @@ _Scored = tuple[float, list[RobotFinger]]
 """How much speaks for a body as a palm, and the chains that branch from it."""
 
 
-def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
-    """Find the palm, which becomes that of the robot, and the fingers.
+class Structure(NamedTuple):
+    """The palm and the fingers of a robot.
 
-    Returns:
-        Link of the palm's body from which all fingers branch, with the evidence; the fingers, in
-        the order of the file; and chains that were ignored, and why.
+    Attributes:
+        palm: Link of the palm's body from which all fingers branch, with the evidence.
+        fingers: The fingers, in the order of the file.
+        notes: Chains that were ignored, and why.
+    """
+
+    palm: Clue
+    fingers: list[RobotFinger]
+    notes: list[str]
+
+
+def find_structure(robot: Robot) -> Structure:
+    """Find the palm, which becomes that of the robot, and the fingers.
 
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
@@ -136,7 +144,7 @@ def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
     fingers, notes, how, sure = _hand(robot, *palms) if palms else _one_finger(robot)
     palm = Clue("palm", _palm_link(fingers), how, sure)
     robot.palm_frame = robot.frames[palm.answer]
-    return palm, fingers, notes
+    return Structure(palm, fingers, notes)
 
 
 def find_palms(robot: Robot) -> list[str]:
@@ -155,7 +163,8 @@ def find_palms(robot: Robot) -> list[str]:
 def _hands(robot: Robot) -> list[list[RobotFinger]]:
     """Return the finger-like chains of each palm, or else each moving and fixed jaw."""
     jaws = (_jaws(robot, leaf) for leaf in robot.leaves(0))
-    return _branching(robot)[0] or [*filter(None, jaws)]
+    taken, _ = _branching(robot)
+    return [fingers for _, fingers in taken] or [*filter(None, jaws)]
 
 
 def passed_over(robot: Robot) -> list[str]:
@@ -166,7 +175,7 @@ def passed_over(robot: Robot) -> list[str]:
     taken, others = _branching(robot)
     if not taken:
         return []
-    best = max(map(_evidence, taken))
+    best = max(score for score, _ in taken)
     links = ((_palm_link(fingers), len(fingers), score) for score, fingers in others)
     return [
         f"the {count} chains at {link} are taken for no hand (evidence {score:.1f}, of the hand "
@@ -201,7 +210,7 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     return [jaw, RobotFinger(robot, palm, palm, (tip, tips[gaps.argmin()]))]
 
 
-def _branching(robot: Robot) -> tuple[list[list[RobotFinger]], list[_Scored]]:
+def _branching(robot: Robot) -> tuple[list[_Scored], list[_Scored]]:
     """Return the finger-like chains of each palm, and of bodies with less evidence."""
     found = {
         body: fingers
@@ -217,7 +226,7 @@ def _branching(robot: Robot) -> tuple[list[list[RobotFinger]], list[_Scored]]:
     scored = [(_evidence(fingers), fingers) for fingers in hands]
     # A hand's name, or the arm that carries it, tells a hand from a foot, a base or a mouth.
     least = max(0.0, max((score for score, _ in scored), default=0.0) - _BEHIND)
-    taken = [fingers for score, fingers in scored if score > least]
+    taken = [one for one in scored if one[0] > least]
     return taken, [one for one in scored if one[0] <= least]
 
 

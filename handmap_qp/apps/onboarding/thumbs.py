@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handmap_core.se3 import Array, lengths, unit
+from handmap_qp.hands import THUMB
 from .flexion import HandFlexion
 from .hypotheses import CERTAIN, CLEAR, DISPUTED, LIKELY, VISIBLE
 from .structure import Clue
@@ -36,7 +37,7 @@ def find_thumb(
     # The number of joints counts less than the others, a name as much as a clear margin; where
     # every finger has its own name, or one of several has lost it, they decide.
     sizes = np.array([*map(len, names)])
-    is_named = np.array(labels) == "thumb"
+    is_named = np.array(labels) == THUMB
     scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
     is_decisive = labels.count(None) <= int(count > 3)
     differences = scores

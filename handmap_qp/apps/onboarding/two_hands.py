@@ -1,14 +1,13 @@
 """Which of two hands is the left one: by the token in which their names differ, else by place."""
 
-import re
 from collections import Counter
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from handmap_qp.hands import Side
-from .robot import Robot
+from handmap_qp.hands import OTHER_SIDE, Side
+from .finger_names import TOKEN
+from .robot import Robot, carriers
 
-_TOKEN = re.compile("[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 # Palms lie beside each other if they are this many times farther apart across the robot than along
 # it, and at least this far [m].
 _BESIDE = 1.0
@@ -43,7 +42,7 @@ def paired_sides(robot: Robot, palms: tuple[str, str]) -> list[PairedSide]:
         The sides, in the order of the palms; empty if neither tells them.
     """
     if first := side_by_difference(*(_names_of(robot, palm) for palm in palms)):
-        sides = (first, "right" if first == "left" else "left")
+        sides = (first, OTHER_SIDE[first])
         how = "by the names in which both hands differ"
     else:
         x, y, _ = robot.link_poses(palms, robot.rest)[:, :3, 3].T
@@ -74,7 +73,7 @@ def side_by_difference(one: Iterable[str], other: Iterable[str]) -> Side | None:
 
 
 def _tokens(names: Iterable[str]) -> list[str]:
-    return [token.lower() for name in names for token in _TOKEN.findall(name)]
+    return [token.lower() for name in names for token in TOKEN.findall(name)]
 
 
 def _is_pair(left: str, right: str) -> bool:
@@ -87,16 +86,7 @@ def _is_pair(left: str, right: str) -> bool:
 
 def _names_of(robot: Robot, palm: str) -> list[str]:
     """Return the names of a palm, and of all links and joints that hang from it."""
-    links = [link for link in robot.parents if palm in _carriers(robot, link)]
+    links = [link for link in robot.elements if palm in carriers(robot.parents, link)]
     bodies = {robot.frames[link].parentJoint for link in links}
     inner = bodies - {robot.frames[palm].parentJoint}
-    return [palm, *links, *(robot.model.names[body] for body in inner)]
-
-
-def _carriers(robot: Robot, link: str) -> list[str]:
-    """Return the links from one to the root."""
-    carriers = []
-    while link in robot.parents:
-        link = robot.parents[link]
-        carriers.append(link)
-    return carriers
+    return [*links, *(robot.model.names[body] for body in inner)]

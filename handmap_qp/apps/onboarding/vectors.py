@@ -10,8 +10,8 @@ _SNAP = 5.0
 _SNAP_WITH_PALM = 16.0
 # Largest angle of the axis of flexion to another of these axes for the latter [deg].
 _SNAP_AXIS = 8.0
-# A direction that is not known.
-_UNKNOWN = np.zeros(3)
+UNKNOWN = np.zeros(3)
+"""A direction that is not known."""
 
 
 def beside(vector: Array, direction: Array) -> Array:
@@ -29,16 +29,21 @@ def angle_between(one: Array, other: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(unit(one) @ unit(other), -1.0, 1.0))))
 
 
+def nearest_axis(direction: Array) -> tuple[int, Array]:
+    """Return the index of the link's axis nearest to a vector, and that axis, signed, (3,)."""
+    nearest = int(np.abs(direction).argmax())
+    return nearest, np.sign(direction[nearest]) * np.eye(3)[nearest]
+
+
 def snapped(
-    direction: Array, knuckles: Array = _UNKNOWN, axis: Array = _UNKNOWN
+    direction: Array, knuckles: Array = UNKNOWN, axis: Array = UNKNOWN
 ) -> Array:
     """Return the link's axis next to a unit vector, or else the vector.
 
     Fingers that cannot stretch fully are farther off it: it is then taken if the axis of flexion is
     another of the link's axes, and the knuckles lie in its direction from the link's origin.
     """
-    nearest = np.abs(direction).argmax()
-    ahead = np.sign(direction[nearest]) * np.eye(3)[nearest]
+    nearest, ahead = nearest_axis(direction)
     angle = angle_between(direction, ahead)
     lateral = np.delete(np.abs(axis), nearest).max()
     is_lateral = lateral > np.cos(np.radians(_SNAP_AXIS))
