@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from stranger_list import Group, Stranger, TrueHand, Vector
+from stranger_list import Group, Stranger, TrueHand
 
 from handmap_qp.apps.onboarding.check import check_hand, check_robot
 from handmap_qp.apps.onboarding.findings import HandFinding
 from handmap_qp.apps.onboarding.init import DescribedHand, InitResult, init_hands
 from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.apps.onboarding.vectors import angle_between
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands import THUMB
 
@@ -248,7 +249,10 @@ def compare(found: DescribedHand, truth: TrueHand, robot: Robot) -> Iterator[Wro
         ("distal", spec.palm.distal, truth.distal),
         ("dorsal", spec.palm.dorsal, dorsal),
     ):
-        if true and (angle := _angle(turn @ own, true)) > LARGEST_ANGLE:
+        if (
+            true
+            and (angle := angle_between(turn @ own, np.array(true))) > LARGEST_ANGLE
+        ):
             yield WrongKey(key, f"{angle:.0f} deg off")
     if truth.side and spec.side != truth.side:
         yield WrongKey("side", spec.side)
@@ -308,9 +312,3 @@ def _compare_fingers(
         yield WrongKey("thumb", f"called {called[THUMB]}")
     elif others not in orders:
         yield WrongKey("fingers", f"called {', '.join(others)}")
-
-
-def _angle(own: np.ndarray, true: Vector) -> float:
-    """Return the angle between two directions [deg]."""
-    cosine = own @ true / (np.linalg.norm(own) * np.linalg.norm(true))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

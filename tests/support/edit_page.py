@@ -47,17 +47,17 @@ class Page:
     def choose(self, before: str, name: str) -> None:
         """Choose an entry of the first list that shows another one."""
         self.click("input", f"e => e.value == '{before}'")
-        # The page has the entries of all lists, and shows those of the open one.
-        is_shown = "e.offsetParent !== null"
-        self.click(
-            "[role=option]", f"e => {is_shown} && e.innerText.trim() == '{name}'"
-        )
+        self._pick(name)
 
     def choose_in(self, label: str, name: str) -> None:
         """Choose an entry of the list with a label."""
         row = "p => p && (p.innerText.trim() == wanted ? true : above(p.parentElement))"
         is_of = f"(() => {{ const wanted = '{label}'; const above = {row}; return above; }})()"
         self.click("input", f"e => ({is_of})(e.parentElement)")
+        self._pick(name)
+
+    def _pick(self, name: str) -> None:
+        """Click an entry of the open list; the page has the entries of all lists."""
         is_shown = "e.offsetParent !== null"
         self.click(
             "[role=option]", f"e => {is_shown} && e.innerText.trim() == '{name}'"

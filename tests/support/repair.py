@@ -12,13 +12,13 @@ from patience import wait_until
 
 from handmap_qp.apps.onboarding.editor import HandEditor
 from handmap_qp.apps.onboarding.palm_turns import Turn, palm_axes, turned_axes
+from handmap_qp.apps.onboarding.vectors import angle_between
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import quat_wxyz_from_rotation
 
 TURNS: tuple[Turn, ...] = get_args(Turn)
 LARGEST_ANGLE = 20.0
 """Axes nearer than this to the true ones are right [deg]."""
-_EXACT = 2.0
 _LABELS = {
     "dorsal": "Turn the palm over",
     "distal": "Reverse the fingers' direction",
@@ -172,7 +172,7 @@ def error(axes: np.ndarray, truth: Truth) -> float:
     pairs = [(axes[:, 1], truth.distal)]
     if truth.dorsal is not None:
         pairs.append((axes[:, 2], truth.dorsal))
-    return max(_angle(own, true) for own, true in pairs)
+    return max(angle_between(own, true) for own, true in pairs)
 
 
 def true_axes(axes: np.ndarray, truth: Truth) -> np.ndarray:
@@ -184,11 +184,6 @@ def true_axes(axes: np.ndarray, truth: Truth) -> np.ndarray:
     dorsal = dorsal - (dorsal @ distal) * distal
     dorsal = dorsal / np.linalg.norm(dorsal)
     return np.column_stack([np.cross(distal, dorsal), distal, dorsal])
-
-
-def _angle(own: np.ndarray, true: np.ndarray) -> float:
-    cosine = own @ true / (np.linalg.norm(own) * np.linalg.norm(true))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def label_of(name: str) -> str:

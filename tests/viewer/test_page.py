@@ -22,7 +22,8 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
-from browser import DRAWING, Browser, find_chromium, light_simply
+from browser import DRAWING, Browser, light_simply
+from edit_page import chromium
 from patience import PATIENCE, kept_going, wait_until
 from viewer_cases import COUNT, make_replay, plotted, write_recording
 
@@ -182,12 +183,7 @@ def test_the_server_is_on_loopback_unless_told_otherwise(recording: Path) -> Non
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = find_chromium()
-    if program is None:
-        pytest.skip(
-            "no Chromium: install one (on Debian: chromium), or name one in HANDMAP_CHROMIUM"
-        )
-    with Browser(program) as page:
+    with Browser(chromium()) as page:
         yield page
 
 
