@@ -30,6 +30,7 @@ from handmap_qp.apps.onboarding.cli import HandsInit
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.editor import HandEditor, HandsEdit
 from handmap_qp.apps.onboarding.findings import HandReport
+from handmap_qp.apps.onboarding.finger_permutation import exchanged, with_names
 from handmap_qp.apps.onboarding.gestures import GESTURES, draw_gestures
 from handmap_qp.apps.onboarding.measure import check_fist
 from handmap_qp.apps.onboarding.palm_turns import with_turn
@@ -52,7 +53,7 @@ def applied(hand: Hand, *corrections: Callable[[Hand], HandSpec]) -> Hand:
 
 
 def renaming(finger: str, name: str) -> Callable[[Hand], HandSpec]:
-    return lambda hand: edit.with_finger(hand, finger, name)
+    return lambda hand: with_names(hand, exchanged(hand, finger, name))
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -120,14 +121,12 @@ def test_fingers_exchange_all_that_names_them() -> None:
     for name, finger in find_fingers(renamed).items():
         other = {"index": "ring", "ring": "index"}.get(name, name)
         assert finger.joints == joints[other]
-    partners = {
-        point.name: point.partner
-        for point in edit.with_finger(load_hand("three_finger"), "index", "ring").points
-    }
+    three = renaming("index", "ring")(load_hand("three_finger"))
+    partners = {point.name: point.partner for point in three.points}
     assert partners["finger3_tip"] == "ring_tip"
     assert partners["finger2_tip"] == "middle_tip"
     with pytest.raises(InvalidInputError, match="one that is the thumb"):
-        edit.with_finger(hand, "thumb", "little")
+        renaming("thumb", "little")(hand)
 
 
 def test_a_tip_is_where_it_was_put_unless_that_is_far_outside() -> None:
@@ -341,5 +340,5 @@ def test_the_page_corrects_a_hand_in_a_browser(
     assert spec.rest == found.spec.rest | {spec.joints[1]: upper}
     # A thumb in the middle says nothing of the side: that orders the other fingers.
     over = load_hand(with_turn(load_hand("three_finger"), "dorsal"))
-    renamed = edit.with_finger(over, "thumb", "index")
+    renamed = renaming("thumb", "index")(over)
     assert [p.finger for p in spec.points] == [p.finger for p in renamed.points]

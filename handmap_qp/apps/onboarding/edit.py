@@ -25,7 +25,6 @@ from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import colliding_links, with_collision_pairs
 from .detect import Detection, detect
 from .findings import HandReport, warning
-from .finger_permutation import with_names
 from .measure import check_fist
 from .speeds import with_origin
 from .write import FOUND, RobotSource
@@ -126,17 +125,6 @@ def with_rest(hand: Hand, q: Array) -> HandSpec:
     # Joints of an arm come first.
     inside = np.clip(q.round(4) + 0.0, *hand.limits)[-len(joints) :]
     return replace(hand.spec, rest=dict(zip(joints, inside, strict=True)))
-
-
-def with_finger(hand: Hand, finger: str, name: str) -> HandSpec:
-    """Return a hand with a finger renamed; another one of that name takes its name.
-
-    Raises:
-        InvalidInputError: If no finger would be the thumb.
-    """
-    tips = finger_tips(hand)
-    both = {finger: name, name: finger}
-    return with_names(hand, {tips[a].link: b for a, b in both.items() if a in tips})
 
 
 def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from tyro.conf import Positional
@@ -26,6 +26,7 @@ from handmap_qp.hands import (
     THUMB,
     Hand,
     HandSpec,
+    Names,
     find_fingers,
     finger_tips,
     load_hand,
@@ -34,7 +35,7 @@ from handmap_qp.hands import (
 from . import edit
 from .background import Background
 from .detect import Detection
-from .finger_permutation import all_tips, left_out, with_names
+from .finger_permutation import all_tips, exchanged, left_out, with_names
 from .gesture_tab import GestureTab
 from .hand_choice import (
     at_root,
@@ -115,6 +116,22 @@ class HandsEdit:
             run_frames(HandEditor(server, found, out).tick)
 
 
+class _Page(NamedTuple):
+    """What a page is made for.
+
+    Attributes:
+        joints: Names of the hand's joints.
+        tips: Links of its fingertips.
+        root: Link at which it begins.
+        links: Links that it moves, which are drawn.
+    """
+
+    joints: Names
+    tips: set[str]
+    root: str | None
+    links: Names
+
+
 class HandEditor:
     """The page of a description, `found`, which Save writes to the file `out`.
 
@@ -148,7 +165,6 @@ class HandEditor:
         server.scene.reset()
         self._named: dict[str, str] = {}
         self._spare = left_out(self.found.spec)
-        self._drawn_links = links_of_hand(self.hand)
         self._add_controls()
         self._scene = HandScene(server, None, [self._shown(self.hand.rest)])
         self._add_handles(server.scene)
@@ -316,12 +332,7 @@ class HandEditor:
                     {link: _given(box.value) for link, box in self.names.items()}
                 )
             case "name":
-                first, second = which
-                links = {name: tip.link for name, tip in all_tips(hand).items()}
-                both = {first: second, second: first}
-                return self._with_names(
-                    {links[old]: new for old, new in both.items() if old in links}
-                )
+                return self._with_names(exchanged(hand, *which))
             case "tip":
                 (pose,) = hand.link_poses([which], self._q)
                 place = np.array(self.arrows[which].position)
@@ -390,7 +401,7 @@ class HandEditor:
         points = hand.points(q)
         sample = ViewSample(time=0, robot_q=q, robot_wrist=wrist, robot_points=points)
         label = f"a {hand.side} hand"
-        return Variant(label, hand, None, [sample], drawn=self._drawn_links)
+        return Variant(label, hand, None, [sample], drawn=self._page.links)
 
     def _show(self) -> None:
         """Show fingers by their names, and the hand with its palm upright."""
@@ -437,10 +448,9 @@ class HandEditor:
             label.position = way
 
 
-def _page_of(hand: Hand) -> tuple[object, ...]:
-    """Return what a page is made for: joints, tips, and the root of a hand."""
+def _page_of(hand: Hand) -> _Page:
     tips = {tip.link for tip in all_tips(hand).values()}
-    return hand.joint_names, tips, hand.spec.root, links_of_hand(hand)
+    return _Page(hand.joint_names, tips, hand.spec.root, links_of_hand(hand))
 
 
 def _given(name: str) -> str | None:

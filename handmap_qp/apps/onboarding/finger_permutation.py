@@ -66,6 +66,13 @@ def with_names(hand: Hand, names: Mapping[str, str | None]) -> HandSpec:
     return spec
 
 
+def exchanged(hand: Hand, finger: str, name: str) -> dict[str, str | None]:
+    """Return names by tip's link in which a finger is renamed, and another one takes its name."""
+    tips = all_tips(hand)
+    both = {finger: name, name: finger}
+    return {tips[old].link: new for old, new in both.items() if old in tips}
+
+
 def all_tips(hand: Hand) -> dict[str, PointSpec]:
     """Return the point at each finger's tip by its name, additional fingers last."""
     more = {

@@ -32,14 +32,12 @@ class Drawn(NamedTuple):
     """Gestures as they are mapped.
 
     Attributes:
-        found: The description.
         pictures: Pictures by gesture, as of `draw_gestures`.
         scores: Scores in words.
         fists: Pictures of a fist of both hypotheses, side by side, if they are asked for.
         pair: The hypotheses.
     """
 
-    found: Detection
     pictures: Arrays
     scores: str
     fists: Array | None
@@ -96,16 +94,15 @@ class GestureTab:
             found: The description.
             question: Number of the pair of hypotheses to choose from; None to ask nothing.
         """
-        wanted = (found, question)
         if self._work.is_busy:
             outcome = self._work.take()
             if outcome is None:
                 return
             # A description that was corrected meanwhile is not shown as it was.
-            if self._started is not None and self._is_started(found, question):
+            if self._is_started(found, question):
                 self._show(outcome)
         if not self._is_started(found, question):
-            self._started = wanted
+            self._started = (found, question)
             say(self._status, "mapping the gestures …")
             self._work.start(lambda: _draw(found, question))
 
@@ -142,7 +139,7 @@ def _draw(found: Detection, question: int | None) -> Drawn:
     """Map the gestures, and the fist of both hypotheses."""
     pictures, scores = draw_gestures(load_hand(found.spec))
     if question is None:
-        return Drawn(found, pictures, scores, None, None)
+        return Drawn(pictures, scores, None, None)
     pair = hypotheses(found.spec, question)
     fists = []
     for spec in pair:
@@ -150,4 +147,4 @@ def _draw(found: Detection, question: int | None) -> Drawn:
         if spec is not found.spec:
             shown, _ = draw_gestures(load_hand(spec))
         fists.append(shown["fist"][1])
-    return Drawn(found, pictures, scores, np.hstack(fists), pair)
+    return Drawn(pictures, scores, np.hstack(fists), pair)

@@ -40,11 +40,6 @@ class LongRecording:
         """Number of samples."""
         return self.count
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether the overview has all samples."""
-        return len(self.overview) == self.count
-
     def changed(self, change: Callable[[Recording], Recording]) -> LongRecording:
         """Return it with a change that each sample takes by itself, such as `mirrored`."""
         parts = self.parts
