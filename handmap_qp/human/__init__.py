@@ -41,7 +41,7 @@ from .contact_gap import (
     tip_gaps,
 )
 from .fit import HumanMotion, LandmarkFitter, fit_recording
-from .measure import check_length, measure_hand, scaled_human
+from .measure import by_parts, check_length, measure_hand, scaled_human
 from .person import Person, read_person, write_person
 from .postures import standard_postures
 
@@ -68,6 +68,7 @@ __all__ = [
     "Verdict",
     "as_flags",
     "axis_direction",
+    "by_parts",
     "check_length",
     "check_side",
     "clipped_gap",

@@ -1,5 +1,6 @@
 """A person's hand, measured in a recording, and the human hand scaled to it."""
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -23,7 +24,20 @@ from handmap_core.se3 import (
 from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
 
 _AT_ONCE = 10_000
-"""Samples whose bones are measured at once."""
+"""Samples that are measured at once."""
+
+
+def by_parts(measure: Callable[[Array], Array], rows: Array) -> Array:
+    """Measure the samples of a recording by parts of 10,000, and return all of them.
+
+    What is computed on the way of an hour may take more memory than the recording.
+
+    Args:
+        measure: Gives each sample of a part its own row.
+        rows: The samples, shape (T, ...).
+    """
+    starts = range(0, max(1, len(rows)), _AT_ONCE)
+    return np.concatenate([measure(rows[start : start + _AT_ONCE]) for start in starts])
 
 
 def check_length(landmarks: Array) -> Array:
@@ -41,12 +55,10 @@ def check_length(landmarks: Array) -> Array:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    # By parts: the chains of an hour take as much memory as the recording.
-    bones = [
-        lengths(np.diff(finger_chains(landmarks[start : start + _AT_ONCE]), axis=2))
-        for start in range(0, max(1, len(landmarks)), _AT_ONCE)
-    ]
-    segments = np.median(np.concatenate(bones), axis=0)
+    bones = by_parts(
+        lambda part: lengths(np.diff(finger_chains(part), axis=2)), landmarks
+    )
+    segments = np.median(bones, axis=0)
     palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
     expect_hand_length(palm + segments[2].sum(), "landmarks")
     return segments

@@ -23,7 +23,7 @@ import numpy as np
 from handmap_core.se3 import Array, affine, lengths, nearest_rotation
 from handmap_core.trackers.hand_geometry import BONES, log_size
 from handmap_core.trackers.wrist_axes import palm_axes
-from handmap_qp.human import Recording
+from handmap_qp.human import Recording, by_parts
 
 # -- limits of what is usual
 
@@ -63,7 +63,6 @@ _MOST_PARTS = 10  # parts of a recording of which sizes are compared
 _LEAST_PART = 48  # samples of such a part
 _BLOCK = 8  # samples over which directions and sizes are averaged, so that noise is no change
 _LEAST_REPEATS = 16  # samples that must be the same before that says anything
-_AT_ONCE = 10_000  # samples whose bones are measured at once
 _MOST = 95.0  # percentile of turns and travels, so that outliers do not count
 
 
@@ -160,22 +159,14 @@ def hints(facts: RecordingFacts) -> list[str]:
     return [line for line in found if line]
 
 
-def _parts(rows: Array, size: int) -> list[Array]:
-    """Cut the rows of an array into parts of a size, the last one shorter; at least one."""
-    return [rows[at : at + size] for at in range(0, max(1, len(rows)), size)]
-
-
 def _has_usual_bones(landmarks: Array) -> Array:
     """Tell which samples (T, 21, 3) have bones of about the usual lengths, shape (T,)."""
     starts, ends = np.transpose(BONES)
     # One landmark that overflows must not become a warning.
     with np.errstate(over="ignore", invalid="ignore"):
-        # By parts: the bones of an hour take as much memory as the recording.
-        parts = [
-            lengths(part[:, ends] - part[:, starts])
-            for part in _parts(landmarks, _AT_ONCE)
-        ]
-        bones = np.concatenate(parts)
+        bones = by_parts(
+            lambda part: lengths(part[:, ends] - part[:, starts]), landmarks
+        )
         usual = np.median(bones, axis=0)
         return (np.abs(bones - usual) < 0.5 * usual + _LOOSE).all(axis=1)
 

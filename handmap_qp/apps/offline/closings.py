@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from handmap_core.se3 import Array
-from handmap_qp.human import Recording
+from handmap_qp.human import Recording, by_parts
 from .poses import CURLED, STRAIGHT, measure_posture
 from .trajectory import stretches
 
@@ -13,8 +13,6 @@ from .trajectory import stretches
 _FROM, _TO = 0.1, 0.9
 # The ends of its way are looked for in this time before and after [s].
 _NEAR = 1.0
-# Samples whose postures are measured at once.
-_AT_ONCE = 10_000
 
 
 def closing_times(recording: Recording) -> Array:
@@ -34,13 +32,7 @@ def closing_times(recording: Recording) -> Array:
     found = []
     for seen in stretches(recording.valid):
         landmarks = recording.landmarks[seen]
-        # By parts: the postures of an hour take more memory than the recording.
-        flexion = np.concatenate(
-            [
-                measure_posture(landmarks[start : start + _AT_ONCE]).flexion
-                for start in range(0, len(landmarks), _AT_ONCE)
-            ]
-        )
+        flexion = by_parts(lambda part: measure_posture(part).flexion, landmarks)
         for finger in flexion.T:
             # Landmarks that coincide have no angles.
             known = np.isfinite(finger)

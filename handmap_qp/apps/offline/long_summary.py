@@ -2,12 +2,17 @@
 
 from collections import Counter
 
-import numpy as np
-
 from handmap_qp.hands import Values
 from handmap_qp.trackers import PIECE
 from .long_motion import LongMotion
-from .summary import by_instants, holds_in, plain_values, summarise
+from .summary import (
+    by_instants,
+    count_broken,
+    holds_in,
+    plain_values,
+    steps_in,
+    summarise,
+)
 from .trajectory import Trajectory
 
 _BEFORE = 2
@@ -35,7 +40,6 @@ def _of_all(motion: LongMotion) -> Values:
     count = len(motion)
     instants = motion.column("time")
     valid = motion.column("valid")
-    steps = 1e3 * np.diff(instants)
     rules = Counter[str]()
     largest: dict[str, list[float]] = {}
     at_limit = 0
@@ -52,13 +56,12 @@ def _of_all(motion: LongMotion) -> Values:
         for name, value in values.items():
             if name.endswith("_max") and value is not None:
                 largest.setdefault(name, []).append(value)
-    broken = sorted(rules.keys() - {""})
     return {
         "samples": count,
         "held": int((~valid).sum()),
-        "rules": dict(Counter({name: rules[name] for name in broken}).most_common()),
+        "rules": count_broken(rules),
         "events": holds_in(instants, valid, motion.rule_at),
         "samples_at_limit": at_limit,
-        "steps_ms": [steps.min(), np.median(steps), steps.max()],
+        "steps_ms": steps_in(instants),
         **{name: max(values) for name, values in largest.items()},
     }

@@ -56,12 +56,11 @@ def summarise(trajectory: Trajectory) -> Values:
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
-    rules = sorted(trajectory.rule[trajectory.rule != ""].tolist())
     found = {
         "robot": robot.name,
         "samples": len(trajectory.time),
         "held": (~seen).sum(),
-        "rules": dict(Counter(rules).most_common()),
+        "rules": count_broken(Counter(trajectory.rule.tolist())),
         "events": find_holds(trajectory),
         "consistency_mm_mean": (1e3 * consistency).mean() if len(consistency) else None,
         "confidence_mean": trajectory.confidence[seen].mean(),
@@ -278,14 +277,26 @@ def by_instants(trajectory: Trajectory) -> Values:
     found: Values = dict.fromkeys(
         ("speed_over_limit_max", "acceleration_max", "steps_ms")
     )
-    steps = 1e3 * np.diff(trajectory.time)
-    if len(steps) > 0:
+    count = len(trajectory.time)
+    if count > 1:
         shares = np.abs(trajectory.speeds) / trajectory.robot.velocity_limits
         found["speed_over_limit_max"] = shares.max()
-        found["steps_ms"] = [steps.min(), np.median(steps), steps.max()]
-    if len(steps) > 1:
+        found["steps_ms"] = steps_in(trajectory.time)
+    if count > 2:
         found["acceleration_max"] = np.abs(trajectory.accelerations).max()
     return found
+
+
+def steps_in(instants: Array) -> list[float]:
+    """Return the least, the median and the largest step between two or more instants [ms]."""
+    steps = 1e3 * np.diff(instants)
+    return [steps.min(), np.median(steps), steps.max()]
+
+
+def count_broken(rules: Counter[str]) -> dict[str, int]:
+    """Return how many samples broke each rule, the most frequent first; no rule has the name ''."""
+    broken = sorted(rules.keys() - {""})
+    return dict(Counter({name: rules[name] for name in broken}).most_common())
 
 
 def _time_rows(summary: Values) -> dict[str, str]:
