@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ for module in ("dynamixel_sdk", "pymodbus"):
     pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
 import handmap_drive  # noqa: E402
-from handmap_drive.demo import Driven, slowed, started  # noqa: E402
+from handmap_drive.demo import PERIOD, Driven, slowed, started  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +83,29 @@ def test_emulated_motors_follow_a_person(
         led = chain.lead()
         count = itertools.count(1)
 
+        seen: list[str] = []
+
         def are_there() -> bool:
             """Send the last sample again. On a busy machine the motors are late."""
+            ended = chain.drive.poll()
+            assert ended is None, (
+                f"drive ended with {ended}: {chain.drive.communicate()}"
+            )
+            # At the rate of a tracker: the motors need the processor, too.
+            time.sleep(PERIOD)
             # Landmarks that repeat exactly would be frozen data.
             last = part.landmarks[-1] + 1e-7 * next(count)
             command = chain.client.step(landmarks=last)
-            angle = chain.motors.order()["angle"][chain.order]
-            return bool(np.abs(angle - command.q).max() < 0.05)
+            motors = chain.motors.order()
+            away = np.abs(motors["angle"][chain.order] - command.q)
+            seen[:] = [
+                f"the motors do not go where they are commanded: {command.status}",
+                f"flags {list(command.flags)}, torque {motors['torque'].tolist()}",
+                f"away {away.round(3).tolist()}, after {len(led[0])} and {count} samples",
+            ]
+            return bool(away.max() < 0.05)
 
-        wait_until(are_there, "the motors do not go where they are commanded")
+        wait_until(are_there, lambda: "; ".join(seen))
         driven = chain.end(*led)
     # Joints in another order would be some 0.5 rad away.
     assert driven.torque.max() == pytest.approx(0.149, abs=1e-3)

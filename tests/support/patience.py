@@ -15,14 +15,14 @@ T = TypeVar("T")
 
 def wait_until(
     see: Callable[[], T | None],
-    complaint: str = "nothing happens",
+    complaint: str | Callable[[], str] = "nothing happens",
     patience: float = PATIENCE,
 ) -> T:
     """Poll until a condition holds.
 
     Args:
         see: Returns a true value once the condition holds.
-        complaint: Message of the assertion error at the timeout.
+        complaint: Message of the assertion error at the timeout, or what returns it then.
         patience: Timeout [s].
 
     Returns:
@@ -30,7 +30,8 @@ def wait_until(
     """
     end = time.monotonic() + patience
     while not (seen := see()):
-        assert time.monotonic() < end, complaint
+        is_over = time.monotonic() >= end
+        assert not is_over, complaint if isinstance(complaint, str) else complaint()
         time.sleep(0.005)
     return seen
 
