@@ -71,7 +71,7 @@ class CustomMethod(ABC):
 
     One object is all stages of a method (`handmap_qp.mapping.method`). `bind` returns a copy that
     knows both hands, and `start` a copy that knows the reference. State of a subclass, such as a
-    filter's, therefore begins anew with each reference.
+    filter's, therefore starts again with each reference.
 
     Attributes:
         human: The hand that leads; set by `bind`.

@@ -96,7 +96,7 @@ def test_joints_of_a_function_are_taken_as_they_are(
     motion = method.map_take(take, robot)
     valid = take.recording.valid
     counted = np.cumsum(valid)
-    # A factory begins anew; samples that were not seen repeat the last joints.
+    # A factory starts again; samples that were not seen repeat the last joints.
     np.testing.assert_allclose(motion.q, 1e-3 * counted[:, None] * np.ones(8))
     assert not motion.moves_wrist
     limited = user_method(f"{many}:made+limits").map_take(take, robot)

@@ -6,7 +6,7 @@ NAME is one of these:
   arguments; or a `Preset`. The QP of this package moves the robot.
 - a function from landmarks (21, 3) [m] to joint positions [rad or m].
 - a callable that takes the person's hand and the robot, and returns a method or a function. It is
-  called for each recording, so that state such as a filter's begins anew.
+  called for each recording, so that state such as a filter's starts again.
 
 `FILE.py` alone is enough if the file defines one of them.
 """
