@@ -61,7 +61,9 @@ if TYPE_CHECKING:
     )
     from .mapping import (
         PRESETS as PRESETS,
+        CustomMethod as CustomMethod,
         HandMapper as HandMapper,
+        JointFunction as JointFunction,
         MapStep as MapStep,
         Method as Method,
         MotionEstimate as MotionEstimate,
@@ -152,7 +154,9 @@ _HOMES: dict[str, tuple[str, ...]] = {
     ),
     "mapping": (
         "PRESETS",
+        "CustomMethod",
         "HandMapper",
+        "JointFunction",
         "MapStep",
         "Method",
         "MotionEstimate",

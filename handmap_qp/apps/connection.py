@@ -64,8 +64,15 @@ def connected(
         closing.pop_all()
 
 
-def only_session(client: Client, session: str | None) -> str:
+def only_session(
+    client: Client, session: str | None, argument: str = "--session"
+) -> str:
     """Return the name of the session to watch: the given one, or the only open one, or empty.
+
+    Args:
+        client: A client of the service.
+        session: The name that was given; None without one.
+        argument: The argument that gives it.
 
     Raises:
         InvalidInputError: If several are open and none was given.
@@ -74,7 +81,7 @@ def only_session(client: Client, session: str | None) -> str:
     if len(names) > 1:
         raise InvalidInputError(
             f"several sessions are open: {', '.join(names)}",
-            argument="--session",
-            advice="name one with --session",
+            argument=argument,
+            advice=f"name one as {argument}",
         )
     return "".join(names)

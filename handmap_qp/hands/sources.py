@@ -27,12 +27,17 @@ from handmap_core.errors import (
 from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
 _POINTER = b"version https://git-lfs.github.com/spec/"
+_ZIP = b"PK\x03\x04"
+_ARRAYS = (
+    "holds arrays (npz), such as a recording of a human hand, and no robot: give a robot's "
+    "URDF or MJCF, or map the recording by `handmap retarget FILE --robot HAND`"
+)
 # Beginnings of files that are no robot, and what to do about each.
 _OTHER_KINDS = {
     _POINTER: "is a pointer of git-lfs in place of a file: run `git lfs pull` in its repository",
     b"PXR-USDC": "is USD, which is not read: export the robot as URDF, or give the URDF or MJCF "
     "that the USD was made from",
-    b"PK\x03\x04": "is an archive: unpack it, and give the URDF or MJCF inside",
+    _ZIP: "is an archive: unpack it, and give the URDF or MJCF inside",
     b"<!DOCTYPE html": "is a web page: download the raw file that it shows",
 }
 _OTHER_KINDS |= {b"#usda": _OTHER_KINDS[b"PXR-USDC"]}
@@ -227,6 +232,9 @@ def other_kind(content: bytes) -> str:
     """Return what a file is, by its first bytes, and what to do; empty if it may be a robot."""
     if not content.strip():
         return "is empty"
+    # Name of the first file of the archive.
+    if content.startswith(_ZIP) and content[30:][: content[26]].endswith(b".npy"):
+        return _ARRAYS
     begins = content.lstrip()[: max(map(len, _OTHER_KINDS))].lower()
     return next(
         (

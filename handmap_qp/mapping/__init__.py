@@ -31,6 +31,13 @@ from handmap_core.mapping.targets import (
     core_pose,
 )
 from .alignment import AlignedOptions, find_alignment
+from .custom_method import (
+    CustomMethod,
+    JointAnswer,
+    JointFunction,
+    LandmarkFunction,
+    joint_positions,
+)
 from .fist_time import PERSON_FIST_TIME, FistTime, fist_time, slow_note
 from .hand_mapper import HandMapper
 from .hand_pair import (
@@ -86,13 +93,17 @@ __all__ = [
     "Box",
     "Choice",
     "CoreMap",
+    "CustomMethod",
     "Cylinder",
     "FistTime",
     "HandMapper",
     "HandPair",
     "HandRequest",
     "HumanPose",
+    "JointAnswer",
+    "JointFunction",
     "JointReader",
+    "LandmarkFunction",
     "LandmarkReader",
     "MapStep",
     "MeshShape",
@@ -134,6 +145,7 @@ __all__ = [
     "gap_task",
     "geometry_of",
     "get_preset",
+    "joint_positions",
     "kept_options",
     "known_options",
     "nearest",

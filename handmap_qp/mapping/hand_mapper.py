@@ -14,7 +14,8 @@ from handmap_core.mapping.exclusive import exclusively
 from handmap_core.se3 import QuatOrder
 from handmap_qp.hands import Hand
 from handmap_qp.ik import IkOptions, Motion, PointIk, Task
-from .method import BoundMethod, Method
+from .custom_method import LandmarkFunction
+from .method import BoundMethod, Method, Preset
 from .target_source import TargetSource
 
 
@@ -31,10 +32,11 @@ class HandMapper(hand_mapper.HandMapper[TargetSource, PointIk]):
         human: The hand that leads, with a floating wrist; its reference points are the method's
             input.
         robot: The hand that follows.
-        method: How a sample becomes targets: a `Method`, or the name of a preset. If it and
-            `preset` are omitted, `teleoperation` where the robot's fingers have partners on the
-            human hand, else `object`.
-        preset: Name of a preset (`PRESETS`), in place of `method`: its method and its weights.
+        method: How a sample becomes targets: a `Method` such as a `CustomMethod` of your own, a
+            function from landmarks to joint angles (`JointFunction`), or the name of a preset. If
+            it and `preset` are omitted, `teleoperation` where the robot's fingers have partners on
+            the human hand, else `object`.
+        preset: A preset or its name (`PRESETS`), in place of `method`: its method and its weights.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
         dt: Usual time between samples [s], where a step gives none of its own.
@@ -62,9 +64,9 @@ class HandMapper(hand_mapper.HandMapper[TargetSource, PointIk]):
         self,
         human: Hand,
         robot: Hand,
-        method: Method | str | None = None,
+        method: Method | LandmarkFunction | str | None = None,
         *,
-        preset: str | None = None,
+        preset: Preset | str | None = None,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
         dt: float = 1.0 / 60.0,
@@ -107,9 +109,9 @@ class HandMapper(hand_mapper.HandMapper[TargetSource, PointIk]):
     @exclusively
     def configure(
         self,
-        method: Method | str | None = None,
+        method: Method | LandmarkFunction | str | None = None,
         *,
-        preset: str | None = None,
+        preset: Preset | str | None = None,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
     ) -> None:

@@ -21,7 +21,8 @@ from handmap_core.se3 import Array, QuatOrder
 from handmap_qp.hands import Hand, Side, common_pairs, joined, load_hand
 from handmap_qp.human import human_name
 from handmap_qp.ik import IkOptions, Motion, PointIk
-from .method import BoundMethod, Method
+from .custom_method import LandmarkFunction
+from .method import BoundMethod, Method, Preset
 from .target_source import TargetSource
 
 
@@ -53,9 +54,9 @@ class RobotMapper(robot_mapper.RobotMapper[TargetSource, PointIk]):
         self,
         robot: Hand,
         humans: Mapping[Side, Hand] | None = None,
-        method: Method | str | None = None,
+        method: Method | LandmarkFunction | str | None = None,
         *,
-        preset: str | None = None,
+        preset: Preset | str | None = None,
         ik: IkOptions | None = None,
         dt: float = 1.0 / 60.0,
         quat_order: QuatOrder | None = None,
@@ -100,7 +101,10 @@ class RobotMapper(robot_mapper.RobotMapper[TargetSource, PointIk]):
 
     @exclusively
     def configure(
-        self, method: Method | str | None = None, *, ik: IkOptions | None = None
+        self,
+        method: Method | LandmarkFunction | str | None = None,
+        *,
+        ik: IkOptions | None = None,
     ) -> None:
         """Change options between samples, as `HandMapper.configure` of all hands.
 

@@ -13,7 +13,8 @@ from handmap_core.mapping.reference import Reference
 from handmap_core.se3 import QuatOrder
 from handmap_qp.hands import Hand, Values
 from handmap_qp.ik import IkOptions, Task
-from .method import BoundMethod, Method, default_preset
+from .custom_method import LandmarkFunction, bind_method
+from .method import BoundMethod, Method, Preset, default_preset
 from .named_method import named_method
 
 
@@ -62,9 +63,9 @@ class TargetSource(target_source.TargetSource[Hand, BoundMethod]):
         self,
         human: Hand,
         robot: Hand,
-        method: Method | str | None = None,
+        method: Method | LandmarkFunction | str | None = None,
         *,
-        preset: str | None = None,
+        preset: Preset | str | None = None,
         tasks: Sequence[Task] = (),
         quat_order: QuatOrder | None = None,
         joint_tolerance: float = 0.25,
@@ -74,7 +75,7 @@ class TargetSource(target_source.TargetSource[Hand, BoundMethod]):
             is_free = method is None and preset is None and not options
             chosen = default_preset(human, robot) if is_free else preset
             self.method, self.weights = named_method(method, chosen, options)
-            return self.method.bind(human, robot)
+            return bind_method(self.method, human, robot)
 
         self._given_robot = robot
         super().__init__(
@@ -94,7 +95,9 @@ class TargetSource(target_source.TargetSource[Hand, BoundMethod]):
     # -- another method
 
     def binding(
-        self, method: Method | str | None, preset: str | None = None
+        self,
+        method: Method | LandmarkFunction | str | None,
+        preset: Preset | str | None = None,
     ) -> Binding:
         """Return another method, bound to the two hands, with the same reference.
 
@@ -109,7 +112,7 @@ class TargetSource(target_source.TargetSource[Hand, BoundMethod]):
             DegeneratePointsError: If the reference points do not determine the motion.
         """
         chosen, weights = named_method(method, preset, {})
-        bound = chosen.bind(self.human, self._given_robot)
+        bound = bind_method(chosen, self.human, self._given_robot)
         reference = self.counted_from and self.counted_from.bound_again(bound)
         return Binding(chosen, weights, bound, reference)
 

@@ -318,7 +318,7 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
         (["--task", "lift a cup"], "--task: expected --log too"),
         (["--log", "take.csv"], "--log: expected a file that ends in .npz"),
         ([], "--no-deadman: expected a terminal whose space bar"),
-        (["--from", "HERE", "other"], "SESSION: "),
+        (["--from", "HERE", "other"], "SESSION: the service refused the session: "),
     ],
 )
 def test_wrong_words_are_one_line(
@@ -338,5 +338,26 @@ def test_wrong_words_are_one_line(
         given += words
     assert cli.main(given) == 2
     printed = capsys.readouterr()
+    if "other" in words:
+        assert printed.err.endswith("open are lab\n")
     assert printed.err.startswith(f"handmap: {text}")
     assert printed.err.count("\n") == 1
+
+
+def test_without_a_name_the_only_session_is_taken_and_several_are_listed(
+    idle_chain: Chain, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*idle_chain.words[3:], "--effort", "nan", "--no-deadman"]
+    words.remove("lab")
+    assert cli.main(words) == 2
+    # The session was found: the next mistake is named.
+    assert capsys.readouterr().err.startswith("handmap: --effort: ")
+    with connected(idle_chain.server, name="other", is_shared=True):
+        assert cli.main(words) == 2
+    assert capsys.readouterr().err == (
+        "handmap: SESSION: several sessions are open: lab, other: name one as SESSION\n"
+    )
+    with serving() as server:
+        words[words.index("--from") + 1] = address_of(server)
+        assert cli.main(words) == 2
+    assert capsys.readouterr().err.startswith("handmap: SESSION: no session is open at")

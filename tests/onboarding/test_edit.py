@@ -9,6 +9,7 @@ import types
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -223,6 +224,30 @@ def test_mistakes_are_found_before_a_page_is_shown(tmp_path: Path) -> None:
     assert file.read_text() == "mine"
     with pytest.raises(HandError, match="cannot be read"):
         HandsEdit(str(tmp_path / "none.urdf")).run()
+    with pytest.raises(InvalidInputError) as caught:
+        HandsEdit("three_finger", out=tmp_path / "new.yaml", port=70000).run()
+    assert caught.value.argument == "--port"
+    np.savez(tmp_path / "hand.npz", landmarks=np.zeros((2, 21, 3)))
+    with pytest.raises(HandError, match="handmap retarget FILE --robot HAND"):
+        HandsEdit(str(tmp_path / "hand.npz")).run()
+
+
+def test_the_page_is_where_it_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def show(host: str, port: int, *, opens: bool) -> nullcontext[None]:
+        asked.append((host, port, opens))
+        return nullcontext()
+
+    module = "handmap_qp.apps.onboarding.editor"
+    monkeypatch.setattr(f"{module}.showing", show)
+    monkeypatch.setattr(f"{module}.run_frames", lambda _: None)
+    monkeypatch.setattr(f"{module}.HandEditor", lambda *_: SimpleNamespace(tick=None))
+    out = tmp_path / "new.yaml"
+    HandsEdit("three_finger", out=out, host="0.0.0.0", port=8123).run()
+    assert asked == [("0.0.0.0", 8123, False)]
 
 
 def test_a_urdf_is_described_and_saved_as_init_writes_it(

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from marks import rotated
 
-from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
+from handmap_qp import HandError, InvalidInputError, cli, hand_names, load_hand
 from handmap_qp.apps.drawing import scene
 from handmap_qp.apps.onboarding import picture
 from handmap_qp.apps.onboarding.check import check_hand, check_speeds
@@ -494,3 +494,15 @@ def test_a_conversion_that_moves_otherwise_than_mujoco_is_refused(
     with pytest.raises(HandError, match=r"differ from MuJoCo's by 1.0e-03 m"):
         open_source(file, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
+
+
+def test_a_recording_in_place_of_a_robot_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "hand.npz"
+    np.savez(file, landmarks=np.zeros((2, 21, 3)))
+    assert cli.main(["hands", "init", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert "arrays (npz), such as a recording of a human hand" in said
+    assert "handmap retarget FILE --robot HAND" in said
+    assert said.count("\n") == 1

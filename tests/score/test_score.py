@@ -548,3 +548,66 @@ def test_hands_that_are_not_installed_are_left_out(
 
     monkeypatch.setattr(cli, "load_hand", load)
     refused(cli.Score(), "--hands")
+
+
+FUNCTION = """
+import numpy as np
+def joints(landmarks):
+    return np.full(16, landmarks[8, 0] - landmarks[0, 0])
+"""
+
+
+def test_a_function_needs_the_hand_that_it_is_for(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(FUNCTION, encoding="utf-8")
+    refused(cli.Score(files=(str(file),)), "--hands")
+    refused(cli.Score(methods=(f"{file}:joints",)), "--hands")
+    refused(cli.Score(trajectory=(tmp_path,)), "--hands")
+    refused(cli.Score(trajectory=(file,)), "--trajectory")
+    refused(cli.Score(files=("teleoperation",)), "FILE.py")
+    refused(cli.Score(files=(str(tmp_path / "absent.py"),)), "FILE.py")
+    refused(cli.Score(tasks=("pick",), gestures=tmp_path), "--gestures")
+    refused(cli.Score(tasks=("pick",), trajectory=(tmp_path,)), "--trajectory")
+
+
+def test_joints_of_any_program_score_as_the_function_that_made_them(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(FUNCTION, encoding="utf-8")
+    shown, joints = tmp_path / "shown", tmp_path / "joints"
+    monkeypatch.setattr(cli, "score_page", lambda *_: "")
+    monkeypatch.setattr(cli, "votes_page", lambda *_: "")
+    given = cli.Score(
+        out=tmp_path / "out", hands=("allegro_right",), seeds=(3,), methods=("paper",)
+    )
+    replace(given, gestures=shown).run()
+    printed = capsys.readouterr().out
+    assert (
+        "handmap score --trajectory FOLDER --hands allegro_right --seeds 3" in printed
+    )
+    files = sorted(shown.iterdir())
+    names = ["demo_right.npz", "handy_seed_3.npz", "xrblocks_seed_3.npz"]
+    assert [each.name for each in files] == names
+    joints.mkdir()
+    for each in files:
+        with np.load(each) as arrays:
+            points = arrays["landmarks"]
+            q = np.repeat((points[:, 8, 0] - points[:, 0, 0])[:, None], 16, axis=1)
+            np.savez(
+                joints / each.name,
+                time=arrays["time"],
+                q=q,
+                joint_names=load_hand("allegro_right").joint_names,
+            )
+    replace(given, files=(str(file),), trajectory=(joints,)).run()
+    results = json.loads((tmp_path / "out" / "score.json").read_text("utf-8"))
+    scores = {row["mapping"]: row["score"] for row in results["overview"]}
+    assert scores["mine.py"] == scores["joints"]
+    assert {*scores} == {"paper", "mine.py", "joints"}
+    # Without a file, one of the names is that of the first recording.
+    (joints / names[1]).unlink()
+    with pytest.raises(InvalidInputError, match="for the recording handy, seed 3"):
+        replace(given, trajectory=(joints,)).run()

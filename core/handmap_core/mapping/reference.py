@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from handmap_core.hands import Hand
 from handmap_core.se3 import Array
 from .bound_method import BoundMethod
-from .targets import HumanPose, RobotPosture, TargetMap
+from .targets import CoreMap, HumanPose, RobotPosture, TargetMap, check_members
 
 
 class Placement(Enum):
@@ -52,9 +52,14 @@ class Reference(NamedTuple):
 
         Raises:
             DegeneratePointsError: If the sample's points do not determine a motion.
+            InvalidOptionsError: If what the method starts is no map.
         """
         posture = posture_of(bound.robot, q)
-        return cls(sample, posture, bound.start(sample, posture), q)
+        target_map = bound.start(sample, posture)
+        if not isinstance(target_map, CoreMap):
+            maker = f"{type(bound).__name__}.start(sample, robot)"
+            check_members(target_map, ("rest", "targets"), maker)
+        return cls(sample, posture, target_map, q)
 
     def bound_again(self, bound: BoundMethod) -> Reference | None:
         """Count from the same instant by another method; None if it needs a wrist pose here."""

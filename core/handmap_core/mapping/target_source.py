@@ -30,7 +30,7 @@ from .bound_method import BoundMethod
 from .hand_request import HandRequest
 from .readers import JointReader, LandmarkReader
 from .reference import PlacedRobot, Placement, Reference
-from .targets import CoreMap, HumanPose, TargetMap
+from .targets import CoreMap, HumanPose, TargetMap, Targets, check_targets
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
@@ -199,9 +199,23 @@ class TargetSource(Generic[Human_co, Bound_co]):
             reference: What it counts from, as of `prepare`.
             dt: Time since the last sample of this hand [s].
             speed: Share of the speed limits at which the robot may move.
+
+        Raises:
+            InvalidOptionsError: If the method returns something else than targets.
         """
         target_map = reference.map
         targets = target_map.targets(sample)
+        points = reference.posture.points
+        # Compared in place, because a call for each sample takes time.
+        is_right = (
+            isinstance(targets, Targets)
+            and isinstance(targets.points, np.ndarray)
+            and isinstance(targets.wrist, np.ndarray)
+            and targets.points.shape == points.shape
+            and targets.wrist.shape == (4, 4)
+        )
+        if not is_right:
+            check_targets(targets, len(points), target_map)
         if self.tasks:
             targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
         rest = target_map.rest if targets.rest is None else targets.rest

@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from handmap_core.core import core, without_core
+from handmap_core.errors import InvalidOptionsError
 from handmap_core.hands import Names
 from handmap_core.ik import Task
 from handmap_core.se3 import Array, ArrayStruct
@@ -142,3 +145,54 @@ class CoreMap:
             is_clamped: Whether a stretch was outside its allowed range.
         """
         raise NotImplementedError
+
+
+def check_members(made: object, wanted: tuple[str, ...], maker: str) -> None:
+    """Reject an object of a user's method that lacks members.
+
+    Args:
+        made: The object.
+        wanted: Names of the members.
+        maker: The call that returned it, for the message.
+
+    Raises:
+        InvalidOptionsError: If one is missing; the message names all.
+    """
+    has = {*dir(made)}
+    if missing := [name for name in wanted if name not in has]:
+        raise InvalidOptionsError(
+            f"{maker} returned {type(made).__name__}, which lacks {', '.join(missing)}",
+            option="method",
+            advice="derive the method from handmap_qp.CustomMethod, which has all but `targets`",
+        )
+
+
+def check_targets(targets: Targets, points: int, target_map: TargetMap) -> None:
+    """Reject what is not the targets of a robot hand; NaN passes, and holds the robot.
+
+    Args:
+        targets: What the user's method returned.
+        points: Number of the robot's reference points, n_r.
+        target_map: Whose method it is, for the message.
+
+    Raises:
+        InvalidOptionsError: If it is not a `Targets`, or an array has another shape.
+    """
+    maker = f"{type(target_map).__name__}.targets(sample)"
+    if not isinstance(targets, Targets):
+        raise InvalidOptionsError(
+            f"{maker} returned {type(targets).__name__}, expected Targets(points, wrist)",
+            option="method",
+            advice="`place_joints` and `place_points` of handmap_qp.CustomMethod make them",
+        )
+    for name, array, shape in (
+        ("points", targets.points, (points, 3)),
+        ("wrist", targets.wrist, (4, 4)),
+    ):
+        if np.shape(array) != shape:
+            raise InvalidOptionsError(
+                f"{maker} returned {name} of shape {np.shape(array)}, expected {shape}",
+                option="method",
+                advice="a row for each of the robot's reference points"
+                * (name == "points"),
+            )

@@ -28,6 +28,7 @@ from handmap_qp.hands import Hand, Names, Values, hand_sides, load_hand, sided_n
 from handmap_qp.human import read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
+    LIMITS,
     SMOOTH,
     ComparedMethod,
     Comparison,
@@ -47,6 +48,21 @@ from .comparison import (
 from .metrics import METRICS, Metric, arising
 from .poses import POSES, rank_poses
 from .trajectory import package_versions
+from .user_file import (
+    UserCodeError as UserCodeError,
+)
+from .user_file import (
+    UserMapping as UserMapping,
+)
+from .user_file import (
+    is_user_file as is_user_file,
+)
+from .user_file import (
+    read_user_mapping as read_user_mapping,
+)
+from .user_mapping import user_method
+from .user_trajectory import file_name as file_name
+from .user_trajectory import trajectory_method
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
@@ -81,10 +97,16 @@ class Compare:
     the package are given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need
     HANDMAP_HANDS, the folder of their URDFs.
 
+    --methods also takes one of your own, FILE.py:NAME: a method (a handmap_qp.CustomMethod), or a
+    function from landmarks (21, 3) [m] to joint angles [rad]. --trajectory takes the joints of any
+    program, an npz with `time` (the recording's own), `q` (T, n) [rad] and `joint_names`.
+
     Examples:
         handmap compare recording.npz --robot allegro_right
         handmap compare *.npz --robot allegro_right --peers --out comparison
         handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
+        handmap compare demo --robot allegro_right --methods teleoperation mine.py:my_joints
+        handmap compare demo --robot allegro_right --trajectory q.npz
 
     Attributes:
         recordings: Recordings of a human hand, as in `handmap retarget`. The tracker's wrist poses
@@ -93,9 +115,13 @@ class Compare:
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
             is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother
-            motion, with +look-ahead for smoothing with the future too. Peers may be named too,
-            such as dexi-dexpilot; then --peers runs those only. With +limits, joints of peers are
-            clipped by the robot's limits of position and speed.
+            motion, with +look-ahead for smoothing with the future too; FILE.py:NAME, or FILE.py
+            if it defines one mapping. Peers may be named too, such as dexi-dexpilot; then --peers
+            runs those only. With +limits, joints of peers and of a function of yours are clipped by
+            the robot's limits of position and speed.
+        trajectory: Joints of any program: a file for one recording, or a folder with a file for
+            each, by the recording's name. See above for the arrays; a trajectory of `handmap
+            retarget --out` has them.
         peers: Run the peers too, as they are and with +limits.
         peers_from: Folder of the program that runs the peers, compare.py.
         shapes: URDF of the same robot, joints and links by the same names, whose collision shapes
@@ -112,6 +138,7 @@ class Compare:
         Names,
         hinted("METHOD...", "(default: every preset, and the first one +smooth)"),
     ] = ()
+    trajectory: Annotated[tuple[Path, ...], hinted("Q.npz...")] = ()
     peers: bool = False
     peers_from: Annotated[
         Path | None,
@@ -252,7 +279,13 @@ def methods_of(request: Compare) -> list[ComparedMethod]:
     names = request.methods or (first, first + SMOOTH, *others)
     if request.peers and outside.keys().isdisjoint(names):
         names = (*names, *outside)
-    return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
+    methods = [
+        user_method(name)
+        if is_user_file(base_name(name).removesuffix(LIMITS))
+        else outside.get(name) or own_method(name, tuple(outside))
+        for name in names
+    ]
+    return [*methods, *map(trajectory_method, request.trajectory)]
 
 
 def takes_of(request: Compare, robot: Hand, say: Progress) -> list[Take]:
@@ -302,7 +335,7 @@ def with_urdf(hand: Hand, urdf: Path) -> Hand:
 
 
 def _print_tables(comparison: Comparison) -> None:
-    """Print a table of methods for each group, without breaking names of methods."""
+    """Print a table of methods for each group."""
     from rich.console import Console
     from rich.table import Table
 
@@ -310,10 +343,11 @@ def _print_tables(comparison: Comparison) -> None:
     overall = comparison.overall
     for group, metrics in arising(overall.values()):
         table = Table(box=None, header_style="bold")
-        table.add_column("method", no_wrap=True)
+        # In a narrow terminal a long name of a user's file breaks, and numbers stay whole.
+        table.add_column("method", overflow="fold")
         for metric in metrics:
             heading = f"{metric.title} {metric.unit}".split()
-            table.add_column("\n".join(heading), justify="right")
+            table.add_column("\n".join(heading), justify="right", no_wrap=True)
         for method, row in overall.items():
             table.add_row(method, *(m.text(row[m.key]) for m in metrics))
         console.print(f"{group}, {comparison.robot.name}", style="bold")

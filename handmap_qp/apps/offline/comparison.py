@@ -76,6 +76,8 @@ _PEER_ADVICE = (
 
 Progress = Callable[[int, str], None]
 """Takes how much is done, and in words what comes next."""
+SampleProgress = Callable[[int], None]
+"""Called after each sample with the number of samples done."""
 
 
 class OutsideError(HandmapError):
@@ -115,6 +117,20 @@ class Take:
         """Whether the palm is the tracker's; otherwise it is fitted to its landmarks."""
         return self.recording.wrist is not None
 
+    def part(self, samples: Array) -> "Take":
+        """Return some of the samples, by index in the order of time.
+
+        Raises:
+            InvalidInputError: If none of them is valid.
+        """
+        return replace(
+            self,
+            recording=self.recording.part(samples),
+            trace=self.trace.part(samples, self.trace.names),
+            wrist=self.wrist[samples],
+            q=self.q[samples],
+        )
+
 
 class ComparedMethod(NamedTuple):
     """A way from a human's landmarks to a robot's motion.
@@ -122,10 +138,15 @@ class ComparedMethod(NamedTuple):
     Attributes:
         name: Short name.
         map_take: Maps a take; raises `HandmapError` if the method cannot.
+        check: Rejects a take before any mapping, by the same errors; None if nothing is checked.
+        map_slowly: Does what `map_take` does, and calls back after each sample: of methods that may
+            be slow.
     """
 
     name: str
     map_take: Callable[[Take, Hand], RobotMotion]
+    check: Callable[[Take, Hand], None] | None = None
+    map_slowly: Callable[[Take, Hand, SampleProgress], RobotMotion] | None = None
 
 
 class Run(NamedTuple):
@@ -192,7 +213,7 @@ class Comparison(NamedTuple):
             runs = self.of_method(method)
             problems = {run.problem for run in runs}
             if len(problems) == 1 and all(problems):
-                lines.append(f"{method}: {runs[0].problem}")
+                lines.append(f"{method}: {problems.pop().removeprefix(f'{method}: ')}")
                 continue
             failed = [run for run in runs if run.problem]
             lines += [f"{method} on {run.take.name}: {run.problem}" for run in failed]
@@ -282,6 +303,7 @@ def compare_methods(
     Raises:
         InvalidInputError: If there is nothing to compare, two takes or methods have one name, a
             take is of another side than the robot, or the robot has no finger with a human name.
+        HandmapError: If a method that checks takes first rejects one.
     """
     check_names("takes", [take.name for take in takes])
     names = tuple(method.name for method in methods)
@@ -303,9 +325,18 @@ def compare_methods(
     runs = []
     total = len(takes) * len(methods)
     for take, method in product(takes, methods):
+        if method.check:
+            progress(0, f"checking {method.name} on {take.name}")
+            method.check(take, robot)
+    for take, method in product(takes, methods):
         done = len(runs)
-        progress(done, f"{method.name} on {take.name} ({done} of {total})")
-        runs.append(_run(method, take, robot, shapes))
+        text = f"{method.name} on {take.name} ({done} of {total})"
+        progress(done, text)
+        mapping = method.map_take
+        if method.map_slowly:
+            telling = _telling(progress, done, text, len(take.recording))
+            mapping = partial(_map_slowly, method.map_slowly, telling)
+        runs.append(_run(method.name, mapping, take, robot, shapes))
     progress(total, "measured")
     return Comparison(robot, takes, names, runs, shapes)
 
@@ -343,7 +374,8 @@ def own_method(name: str, outside: Sequence[str] = ()) -> ComparedMethod:
     expect(
         base_name(name) in known,
         "--methods",
-        f"some of {', '.join((*known, *outside))}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
+        f"some of {', '.join((*known, *outside))}, one of ours with {SMOOTH} or {LOOK_AHEAD}, or "
+        "FILE.py:NAME",
         got=name,
         advice=_PEER_ADVICE if is_peer(name) else "",
     )
@@ -464,11 +496,37 @@ def _call(program: Path, *words: str | Path) -> str:
     return done.stdout
 
 
-def _run(method: ComparedMethod, take: Take, robot: Hand, shapes: Hand | None) -> Run:
+def _telling(progress: Progress, done: int, text: str, total: int) -> SampleProgress:
+    """Return what shows the samples of a run that are done."""
+
+    def tell(count: int) -> None:
+        progress(done, f"{text}, {count} of {total} samples")
+
+    return tell
+
+
+def _map_slowly(
+    mapping: Callable[[Take, Hand, SampleProgress], RobotMotion],
+    progress: SampleProgress,
+    take: Take,
+    robot: Hand,
+) -> RobotMotion:
+    """Map a take, and show how far it is."""
+    return mapping(take, robot, progress)
+
+
+def _run(
+    name: str,
+    map_take: Callable[[Take, Hand], RobotMotion],
+    take: Take,
+    robot: Hand,
+    shapes: Hand | None,
+) -> Run:
+    """Run a method on a take, and measure what the robot does."""
     try:
-        motion = method.map_take(take, robot)
+        motion = map_take(take, robot)
     except HandmapError as error:
-        return Run(method.name, take, mean_values([]), problem=reason_of(error))
+        return Run(name, take, mean_values([]), problem=reason_of(error))
     recording = take.recording
     wrist = motion.wrist if robot.is_floating else None
     trace = trace_robot(robot, motion.q, wrist)
@@ -487,4 +545,4 @@ def _run(method: ComparedMethod, take: Take, robot: Hand, shapes: Hand | None) -
         shape = take.shape
         found = contact_metrics(take.trace, trace, recording, shape, motion)
         fidelity.values.update(found)
-    return Run(method.name, take, *fidelity, motion)
+    return Run(name, take, *fidelity, motion)

@@ -14,6 +14,7 @@ from handmap_core.se3 import (
     rotation_from_quat_wxyz,
     transform_points,
 )
+from handmap_qp.apps.addresses import check_port
 from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.viewer.controls import add_controls, reporting, say
 from handmap_qp.apps.viewer.figure import place_node
@@ -92,6 +93,9 @@ class HandsEdit:
         hand: Path of a hand.yaml, URDF or MJCF file, or name of a hand of the package.
         out: File to write.
         overwrite: Replace the file if it exists and is not HAND.
+        host: Address to listen on. Everyone who can reach it can change the file, so keep it on
+            this machine unless you trust the network.
+        port: Port to listen on. The next free one is taken if it is in use.
         open: Open the browser.
     """
 
@@ -100,19 +104,23 @@ class HandsEdit:
         Path | None, hinted("FILE.yaml", "(default: HAND, or its name with .yaml)")
     ] = None
     overwrite: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8080
     open: bool = False
 
     def run(self) -> None:
         """Show the page until interrupted."""
+        check_port("--port", self.port)
         given = Path(self.hand)
         out = self.out or given.with_suffix(".yaml")
         check_free(out, overwrite=self.overwrite or out == given)
-        if given.suffix.lower() in ROBOT_FILES:
+        kind = given.suffix.lower()
+        if kind in ROBOT_FILES or (given.is_file() and kind not in (".yaml", ".yml")):
             source = open_source(given)
             found = edit.described(first_hand(source.urdf), source)
         else:
             found = edit.open_description(given)
-        with showing("127.0.0.1", 8080, opens=self.open) as server:
+        with showing(self.host, self.port, opens=self.open) as server:
             run_frames(HandEditor(server, found, out).tick)
 
 

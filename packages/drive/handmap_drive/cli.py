@@ -17,11 +17,11 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import KeyFiles, hinted
-from handmap_qp.apps.connection import connected
+from handmap_qp.apps.connection import connected, only_session
 from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
-from handmap_qp.client import Client, ServiceError
-from handmap_qp.errors import expect, warn
+from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+from handmap_qp.errors import InvalidInputError, expect, warn
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import check_output
 from .drive import HOTTEST, Loop
@@ -95,6 +95,33 @@ def tell_stiffness(client: Client, file: Path) -> None:
         warn(f"the session does not take the stiffness of the joints: {error}")
 
 
+def watch_session(client: Client, session: str | None) -> None:
+    """Watch a session: the given one, or the only open one.
+
+    Raises:
+        InvalidInputError: If there is none, or none of that name, or several are open and none is
+            given; the message lists those that are open.
+    """
+    name = only_session(client, session, "SESSION")
+    if not name:
+        raise InvalidInputError(
+            f"no session is open at {client.address}",
+            argument="SESSION",
+            advice="start a client that opens one, such as handmap track replay",
+        )
+    try:
+        client.watch(name)
+    except ServiceTimeoutError:
+        raise
+    except ServiceError as error:
+        names = ", ".join(client.status().names)
+        raise InvalidInputError(
+            f"the service refused the session: {error}",
+            argument="SESSION",
+            advice=f"open are {names}" if names else "no session is open",
+        ) from error
+
+
 @dataclass(frozen=True)
 class Drive:
     """Drive the motors of a hand by the commands of a session, while the space bar is held.
@@ -104,6 +131,7 @@ class Drive:
     report a fault.
 
     Examples:
+        handmap drive --driver simulated --port leap_right:1 --no-deadman
         handmap drive lab --driver leap --port /dev/ttyUSB0
         handmap drive lab --driver leap --port /dev/ttyUSB0 --effort 0.1
         handmap drive lab --driver servos --motors mine.yaml --port /dev/ttyACM0
@@ -111,7 +139,7 @@ class Drive:
         handmap drive lab --driver leap --port /dev/ttyUSB0 --log cups.npz --task "lift a cup"
 
     Attributes:
-        session: Public name of the session.
+        session: Public name of the session. Without it, several open sessions are listed.
         driver: What motors they are: leap, inspire_right, inspire_left, ability, servos of your own
             table, simulated, or a driver of another package.
         port: Port of the motors.
@@ -130,9 +158,11 @@ class Drive:
         json: Print the summary as one JSON object instead of a table.
     """
 
-    session: Positional[Annotated[str, arg(metavar="SESSION")]]
     driver: str
     port: str
+    session: Positional[
+        Annotated[str | None, hinted("[SESSION]", "(default: the only open session)")]
+    ] = None
     source: Annotated[str, arg(name="from", metavar="HOST[:PORT]")] = "127.0.0.1"
     motors: MotorsFile = None
     tuning: Annotated[Path | None, hinted("HAND.yaml")] = None
@@ -157,7 +187,7 @@ class Drive:
         log = check_output("--log", self.log, (".npz",)) if self.log else None
         expect(log or not self.task, "--task", "--log too")
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
-            client.watch(self.session)
+            watch_session(client, self.session)
         key = held_key() if self.deadman else nullcontext(lambda: True)
         with client, key as is_held, naming("--port"):
             while not (command := client.latest(1.0)):

@@ -8,10 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import check_names, hinted
-from handmap_qp.apps.offline.compare import Compare, methods_of, takes_of, with_urdf
+from handmap_qp.apps.offline.compare import (
+    Compare,
+    file_name,
+    is_user_file,
+    methods_of,
+    read_user_mapping,
+    takes_of,
+    with_urdf,
+)
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
@@ -32,7 +40,8 @@ from handmap_qp.hands import (
 from handmap_qp.human import human_name
 from handmap_qp.mapping import fist_time, slow_note
 from handmap_qp.output_files import make_folder, replaced_file
-from .gestures import SOURCES
+from handmap_qp.trackers import NpzFormat
+from .gestures import SOURCES, perform
 from .pages import results_of, score_page, votes_page
 from .scoring import FORMULA, score_hand
 
@@ -82,6 +91,12 @@ class Score:
     Quick by default: 3 hands, 3 seeds, 30 samples a second, and pictures of every third gesture.
     --full takes 6 hands, 5 seeds, 60 samples a second, and pictures of all.
 
+    FILE.py scores a mapping of your own beside `teleoperation`: a method (a
+    handmap_qp.CustomMethod), or a function from landmarks (21, 3) [m] to joint angles [rad].
+    FILE.py:NAME picks one of several. A program that is not in Python takes two steps: --gestures
+    writes what people show as recordings, and --trajectory reads a folder with the joints of each
+    (an npz of the recording's name with its `time`, `q` (T, n) [rad] and `joint_names`).
+
     --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
     tasks.json. Methods are presets, peers such as dexi-dexpilot (+limits clips them by the robot's
     limits), FILE.py:NAME or a trajectory FILE.npz; the controls always run. PRESET+grip holds what
@@ -92,6 +107,9 @@ class Score:
 
     Examples:
         handmap score
+        handmap score mine.py --hands allegro_right --seeds 0
+        handmap score --gestures shown --hands allegro_right --seeds 0
+        handmap score --trajectory joints --hands allegro_right --seeds 0
         handmap score --full --peers --out score
         handmap score --hands my_hand.yaml --methods teleoperation finger-vectors --seeds 7 8
         handmap score --tasks door relocate --methods teleoperation
@@ -99,9 +117,12 @@ class Score:
         handmap score --tasks pick --methods teleoperation teleoperation+grip+place5
 
     Attributes:
+        files: Mappings of your own, FILE.py or FILE.py:NAME.
         out: Folder to write to; created if it does not exist.
         hands: Hands by name, or paths of their hand.yaml.
         methods: Mappings by name, as of `handmap compare`.
+        trajectory: Folders with joints of any program, for each of the recordings of --gestures.
+        gestures: Write the recordings that mappings follow to this folder, and end.
         seeds: Seeds of the performances.
         recordings: Further recordings for all columns but reading.
         peers: Run the peers too.
@@ -118,9 +139,12 @@ class Score:
         resume: Go on with the attempts that --out has of a run that was stopped.
     """
 
+    files: Positional[Annotated[Names, hinted("[FILE.py...]")]] = ()
     out: Annotated[Path, arg(metavar="FOLDER")] = Path("score")
     hands: Annotated[Names, hinted("HAND...", "(default: three, or six)")] = ()
     methods: Annotated[Names, arg(aliases=("--presets",), metavar="METHOD...")] = ()
+    trajectory: Annotated[tuple[Path, ...], hinted("FOLDER...")] = ()
+    gestures: Annotated[Path | None, hinted("FOLDER")] = None
     seeds: Annotated[tuple[int, ...], hinted("SEED...", "(default: 0 1 2)")] = ()
     recordings: Annotated[tuple[Path, ...], hinted("FILE...")] = ()
     peers: bool = False
@@ -151,6 +175,10 @@ class Score:
         seeds = self.seeds or amount.seeds
         is_right = min(seeds) >= 0 and len({*seeds}) == len(seeds)
         expect(is_right, "--seeds", "different numbers from 0", value=seeds)
+        names = self._methods()
+        if self.gestures:
+            self._write_gestures(self.gestures, seeds, amount.rate)
+            return
         about = {
             "command": shlex.join(["handmap", *sys.argv[1:]]),
             "seeds": seeds,
@@ -162,7 +190,7 @@ class Score:
             about[f"poses: {source.name}"] = f"{source.licence}, {source.credit}"
         if not self.peers:
             about["peers"] = "not run; `pip install 'handmap-qp[peers]'`, then --peers"
-        wanted = self._wanted(HANDS[: amount.hands], about)
+        wanted = self._wanted(HANDS[: amount.hands], names, about)
         shapes = None
         if self.shapes:
             names = [robot.name for _, robot, _ in wanted]
@@ -216,6 +244,16 @@ class Score:
 
         expect(not self.recordings, "--recordings", "none with --tasks", got="files")
         expect(not self.shapes, "--shapes", "none with --tasks", got="a file")
+        expect(not self.gestures, "--gestures", "none with --tasks", got="a folder")
+        advice = "name Q.npz among --methods, which plays it whatever the person does"
+        got = "a folder"
+        expect(
+            not self.trajectory,
+            "--trajectory",
+            "none with --tasks",
+            got=got,
+            advice=advice,
+        )
         usual = FULL_ATTEMPTS if self.full else ATTEMPTS
         attempts = usual if self.attempts is None else self.attempts
         processes = 0 if self.processes is None else self.processes
@@ -227,7 +265,7 @@ class Score:
             hands=self.hands,
             objects=self.objects,
             operators=self.operators,
-            methods=self.methods,
+            methods=(*self.methods, *self.files),
             peers=self.peers,
             blocks=Blocks(self.seeds or BLOCKS, attempts),
             processes=processes,
@@ -254,19 +292,88 @@ class Score:
         for option, is_given in given.items():
             expect(not is_given, option, "--tasks too", got="gestures")
 
+    def _methods(self) -> Names:
+        """Return the names of the mappings, those of the user's files last; empty for all presets.
+
+        Raises:
+            HandmapError: If a file cannot be used, or is for one hand and --hands names none.
+        """
+        for name in filter(is_user_file, (*self.files, *self.methods)):
+            user = read_user_mapping(
+                name, "FILE.py" * (name in self.files) or "--methods"
+            )
+            is_known = bool(self.hands) or not user.is_for_one_hand
+            self._expect_hands(name, is_known=is_known)
+        for name in self.files:
+            expect(is_user_file(name), "FILE.py", "a file of Python", got=name)
+        for folder in self.trajectory:
+            expect(folder.is_dir(), "--trajectory", "a folder", got=str(folder))
+            self._expect_hands(str(folder), is_known=bool(self.hands))
+        usual = own_methods()[:1] if self.files or self.trajectory else ()
+        return (*(self.methods or usual), *self.files)
+
+    def _expect_hands(self, name: str, *, is_known: bool) -> None:
+        """Ask for the hand whose joints a mapping returns."""
+        advice = "name it, as --hands allegro_right"
+        expect(
+            is_known,
+            "--hands",
+            f"the hand whose joints {name} has",
+            got="none",
+            advice=advice,
+        )
+
+    def _write_gestures(
+        self, folder: Path, seeds: tuple[int, ...], rate: float
+    ) -> None:
+        """Write what mappings of a hand follow, for a program that maps it to joints."""
+        hands = self.hands or HANDS[:1]
+        expect(len(hands) == 1, "--hands", "one hand with --gestures", value=hands)
+        name = sided_name(hands[0], "right")
+        robot = load_hand(name)
+        make_folder(folder, "--gestures")
+        with progress("writing gestures") as say:
+            takes = takes_of(Compare(self._files, name), robot, say)
+            takes += [
+                perform(source, seed, rate, robot.side).take
+                for seed in seeds
+                for source in SOURCES
+            ]
+            for take in takes:
+                file = folder / file_name(take.name)
+                NpzFormat().write([take.recording], file)
+                print(f"wrote {file}")
+        print(
+            "Map each file, and write joints of the same file name to another folder:\n"
+            "    np.savez(FILE, time=recording['time'], q=q, joint_names=names)\n"
+            f"    handmap score --trajectory FOLDER {self._given_again(name, seeds)}"
+        )
+
+    @property
+    def _files(self) -> tuple[Path, ...]:
+        """Recordings that mappings follow beside the gestures: the package's own first."""
+        return Path("demo"), *self.recordings
+
+    def _given_again(self, hand: str, seeds: tuple[int, ...]) -> str:
+        """Return the options that decide which gestures are shown."""
+        words = ["--hands", hand, "--seeds", *map(str, seeds), *["--full"] * self.full]
+        if self.recordings:
+            words += ["--recordings", *map(str, self.recordings)]
+        return shlex.join(words)
+
     def _wanted(
         self,
         usual: Names,
+        names: Names,
         about: Values,
     ) -> list[tuple[Compare, Hand, list[ComparedMethod]]]:
         """Return what to ask of each hand, the hand, and its mappings.
 
         Args:
             usual: Hands without --hands; those that are not installed are left out.
+            names: Names of the mappings; all presets if empty.
             about: Gets a line for all that is left out.
         """
-        # Of the package: the hand of the robot's side.
-        files = Path("demo"), *self.recordings
         wanted = []
         for given in self.hands or usual:
             name = sided_name(given, "right")  # the package's recording has both hands
@@ -280,7 +387,9 @@ class Score:
                 continue
             expected = "a hand with fingers of people's names"
             expect(find_fingers(robot), "--hands", expected, got=name)
-            request = Compare(files, name, self.methods, self.peers)
+            request = Compare(
+                self._files, name, names, peers=self.peers, trajectory=self.trajectory
+            )
             wanted.append((request, robot, mappings_of(request, about)))
         check_names("--hands", [robot.name for _, robot, _ in wanted])
         return wanted
@@ -298,7 +407,11 @@ def mappings_of(request: Compare, about: Values) -> list[ComparedMethod]:
     try:
         return methods_of(request)
     except OutsideError as error:
-        own = [name for name in request.methods if base_name(name) in own_methods()]
+        own = [
+            name
+            for name in request.methods
+            if base_name(name) in own_methods() or is_user_file(name)
+        ]
         if request.methods and not own:
             raise
         about[f"peers on {request.robot}"] = f"left out: {error}"

@@ -10,29 +10,43 @@
                         too, exactly or with an error of 5 mm an axis (`gripping.py`)
     dexi-dexpilot       a peer as published, by its name in `handmap compare`; with `+limits` at the
                         end, clipped by the robot's limits of position and speed
-    FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
-                        hand and the robot and returns a mapping (it has `reset` and `map`)
+    FILE.py:NAME        of a user (`handmap_qp.apps.offline.user_file`): a method (it has `bind`), a
+                        function from landmarks to joint angles, or a callable that takes the
+                        person's hand and the robot and returns one of these, or a mapping (it has
+                        `reset` and `map`)
     FILE.npz            a trajectory, as `handmap retarget --out` writes, whatever the person does
 
 Mappings run live in the loop: what the robot does with a command is what the operator sees next.
 """
 
 import math
-import runpy
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 
+from handmap_qp.apps.offline.compare import (
+    UserCodeError,
+    UserMapping,
+    is_user_file,
+    read_user_mapping,
+)
 from handmap_qp.apps.offline.comparison import is_peer
 from handmap_qp.apps.simulation.commands import GripName
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Recording, mirrored, scaled_human
-from handmap_qp.mapping import PRESETS, HandMapper
-from handmap_qp.mapping.method import MethodOptions
+from handmap_qp.mapping import (
+    PRESETS,
+    CustomMethod,
+    HandMapper,
+    LandmarkFunction,
+    Method,
+    Preset,
+    joint_positions,
+)
 from handmap_qp.se3 import Array
 from handmap_qp.stream import gripping_presets
 from .gripping import Gripping
@@ -137,7 +151,9 @@ class Mapped:
     Every attempt begins with the mapper as it was made: at the robot's rest, without a reference.
     """
 
-    def __init__(self, human: Hand, robot: Hand, method: str | MethodOptions) -> None:
+    def __init__(self, human: Hand, robot: Hand, method: str | Method | Preset) -> None:
+        if isinstance(method, CustomMethod) and method.human_points:
+            human = human.with_points(method.human_points)
         self._human = human
         self._robot = robot
         self._method = method
@@ -145,7 +161,10 @@ class Mapped:
 
     def reset(self) -> None:
         """Make a new mapper."""
-        self._mapper = HandMapper(self._human, self._robot, self._method)
+        method = self._method
+        ik = method.ik if isinstance(method, Preset) else None
+        chosen = method.method if isinstance(method, Preset) else method
+        self._mapper = HandMapper(self._human, self._robot, chosen, ik=ik)
 
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Map the landmarks; the palm is fitted to them."""
@@ -206,46 +225,52 @@ class Replayed:
         return dict(zip(self._names, map(float, posture), strict=True))
 
 
-class UserMappingError(HandmapError):
-    """A mapping of a user failed.
+class Called:
+    """A function from landmarks to joint angles.
 
-    Attributes:
-        name: Its name, as on the command line.
+    Args:
+        robot: The robot hand.
+        function: The function.
     """
 
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(f"{name}: {problem}")
-        self.name = name
+    def __init__(self, robot: Hand, function: LandmarkFunction) -> None:
+        self._robot = robot
+        self._function = function
+
+    def reset(self) -> None:
+        """Do nothing: a function has no state that is known here."""
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the joints that the function returns."""
+        q = joint_positions(self._function(hand.landmarks.copy()), self._robot)
+        return dict(zip(self._robot.joint_names, q.tolist(), strict=True))
 
 
 class OfUser:
     """A mapping of a user, whose errors end its own attempts and not those of others.
 
     Args:
-        name: Its name, as on the command line.
+        user: What the user's file defines.
         mapping: The mapping.
     """
 
-    def __init__(self, name: str, mapping: Mapping) -> None:
-        self._name = name
+    def __init__(self, user: UserMapping, mapping: Mapping) -> None:
+        self._user = user
         self._mapping = mapping
 
     def reset(self) -> None:
         """Begin an attempt.
 
         Raises:
-            UserMappingError: If the user's code raises an error.
+            UserCodeError: If the user's code raises an error.
         """
-        try:
-            self._mapping.reset()
-        except Exception as error:
-            raise self._failed(error) from error
+        self._user.run(self._mapping.reset)
 
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Return the command.
 
         Raises:
-            UserMappingError: If the user's code raises an error, or returns a number that is not
+            UserCodeError: If the user's code raises an error, or returns a number that is not
                 finite.
         """
         try:
@@ -253,15 +278,14 @@ class OfUser:
                 joint: float(value)
                 for joint, value in self._mapping.map(hand, dt).items()
             }
+        except HandmapError as error:
+            raise UserCodeError(self._user.name, str(error)) from error
         except Exception as error:
-            raise self._failed(error) from error
+            raise self._user.failed(error) from error
         for joint, value in command.items():
             if not math.isfinite(value):
-                raise UserMappingError(self._name, f"{joint} is {value}")
+                raise UserCodeError(self._user.name, f"{joint} is {value}")
         return command
-
-    def _failed(self, error: Exception) -> UserMappingError:
-        return UserMappingError(self._name, f"{type(error).__name__}: {error}")
 
 
 def file_of(name: str) -> Path | None:
@@ -280,8 +304,6 @@ def check_mapping(name: str) -> None:
     """
     if file := file_of(name):
         expect(file.is_file(), "--methods", "a file that exists", got=str(file))
-        is_whole = file.suffix == ".npz" or ":" in name
-        expect(is_whole, "--methods", "FILE.py:NAME", got=name)
         return
     if is_peer(name):
         check_peer(name)
@@ -353,7 +375,7 @@ def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> 
     if is_peer(name):
         return outside_mapping(name, robot)
     human = scaled_human(calibrate())
-    if ".py:" in name:
+    if is_user_file(name):
         return _of_user(name, human, robot)
     if grip := GripName.parse(name):
         return Gripping(human, robot, grip)
@@ -375,35 +397,23 @@ def _trajectory(file: Path) -> Replayed:
 
 
 def _of_user(name: str, human: Hand, robot: Hand) -> Mapping:
-    """Run a user's file, and make the mapping that it defines under a name."""
-    file, _, attribute = name.rpartition(":")
-    try:
-        defined = runpy.run_path(file)
-    except Exception as error:
-        problem = f"{type(error).__name__}: {error}"
-        raise UserMappingError(name, problem) from error
-    if attribute not in defined:
+    """Run a user's file, and make the mapping that it defines under a name.
+
+    Raises:
+        HandmapError: If it defines none, or raises an error.
+    """
+    user = read_user_mapping(name)
+    made = user.for_hands(human, robot)
+    if isinstance(made, Method | Preset):
+        mapper = user.run(Mapped, human, robot, made)
+        assert isinstance(mapper, Mapped)
+        return OfUser(user, mapper)
+    if isinstance(made, Mapping):
+        return OfUser(user, made)
+    if not callable(made):
         raise InvalidInputError(
-            f"{file} does not define {attribute}", argument="--methods", value=name
+            argument="--methods",
+            expected="a method, a function, or a mapping with reset and map",
+            got=f"{name}(...) = {made!r:.60}",
         )
-    found = defined[attribute]
-    if isinstance(found, MethodOptions):
-        return Mapped(human, robot, found)
-    expect(
-        callable(found),
-        "--methods",
-        "a method, or a callable that takes the person's hand and the robot",
-        got=f"{name} = {found!r:.60}",
-    )
-    try:
-        mapping = found(human, robot)
-    except Exception as error:
-        problem = f"{type(error).__name__}: {error}"
-        raise UserMappingError(name, problem) from error
-    expect(
-        isinstance(mapping, Mapping),
-        "--methods",
-        "a mapping with reset and map",
-        got=f"{name}(...) = {mapping!r:.60}",
-    )
-    return OfUser(name, mapping)
+    return OfUser(user, Called(robot, cast("LandmarkFunction", made)))
