@@ -132,7 +132,8 @@ CODES = {
     "no_session": "the server does not know the session: it was restarted, or closed the session",
     "taken": "another client took the session over (`restore`)",
     "stale": "the number is not above the last one, and the request is not a repetition",
-    "busy": "all sessions are in use, or this one is, or the client's share of them",
+    "busy": "all sessions are in use, or this one is, or the client's share of them; or the server "
+    "has no time for a further session, or for the samples of those opened last: their robots hold",
     "rate": "too many messages, openings or changes of options per second; `seq` may be 0",
     "stopped": "an emergency stop is in force: clear it first",
     "denied": "the server or the client of the session does not allow it",

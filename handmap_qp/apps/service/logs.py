@@ -55,6 +55,10 @@ _COUNTERS = {
 _GAUGES = {
     "sessions": "Open sessions.",
     "lag_seconds": "Longest delay of the event loop in its last 200 turns, 1 to 4 s [s].",
+    "load": "Share of the last second in which the event loop worked; NaN if not measured.",
+    "samples_per_second": "Samples mapped in the last second [1/s].",
+    "wait_seconds": "Mean time that samples of the last second waited to be mapped [s].",
+    "shed_sessions": "Sessions whose samples are answered busy.",
     "busy_seconds": "Longest CPU time of the process between two of these turns [s].",
     "resident_bytes": "Resident memory of the process.",
     "uptime_seconds": "Time since the start [s].",

@@ -34,6 +34,7 @@ from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
 from .dispatch import Dispatcher
 from .keys import ClientKeys, read_server_keys, read_token
+from .load import TimedSelector
 from .logs import AuditLog, Metrics, Throttle, logs_on_stderr, report
 from .opening import HandCache
 from .pages import serve_metrics
@@ -41,6 +42,7 @@ from .sessions import Caller, Sessions
 from .settings import Settings
 from .store import PostureStore
 from .websocket import WebSocketTransport
+from .work import in_next_turn
 
 TICK = 0.005
 """Least time between checks of the watchdogs [s]."""
@@ -181,6 +183,7 @@ class Server:
             self._closing.callback(health.close)
             self.ports["health"] = next(iter(health.sockets)).getsockname()[1]
         self._loop = asyncio.get_running_loop()
+        self.dispatcher.schedule = in_next_turn
         self._loop.add_reader(self._router.FD, self._drain)
         self._closing.callback(self._loop.remove_reader, self._router.FD)
         watches = [
@@ -235,7 +238,7 @@ class Server:
         return socket
 
     def _drain(self) -> None:
-        """Read up to a batch of waiting parts; then samples are mapped, and other tasks run."""
+        """Read up to a batch of waiting parts; then a sample is mapped, and other tasks run."""
         if self._router.closed:
             return
         self._is_draining = True
@@ -348,11 +351,14 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     # Interval after which a thread that loads a hand yields to the one that answers [s].
     sys.setswitchinterval(5e-4)
     _raise_file_limit()
-    with logs_on_stderr(log_level):
-        asyncio.run(_serve(settings))
+    selector = TimedSelector()
+    # `asyncio.run` would make a selector of its own.
+    runner = asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selector))
+    with logs_on_stderr(log_level), runner:
+        runner.run(_serve(settings, selector))
 
 
-async def _serve(settings: Settings) -> None:
+async def _serve(settings: Settings, selector: TimedSelector) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -361,6 +367,7 @@ async def _serve(settings: Settings) -> None:
     # when the server is made.
     importlib.import_module("scipy.spatial")
     server = Server(settings)
+    server.dispatcher.sessions.load.waited = lambda: selector.waited
     try:
         await server.start()
         # Exclude the objects that exist now from garbage collection: they stay.

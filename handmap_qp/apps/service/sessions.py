@@ -18,6 +18,7 @@ from handmap_core.client.messages import Error, Open
 from handmap_core.errors import RefusedError
 from handmap_qp.hands import Names, Values
 from .fairness import AccountBuckets, FairWorker, has_share, largest_account
+from .load import LoadMeter
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
 from .safety import refuse_if
@@ -103,7 +104,8 @@ class Sessions:
         store: Records of former sessions; in memory if omitted.
         audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
-        by_secret: Sessions by their secrets.
+        by_secret: Sessions by their secrets, in the order in which they were opened.
+        load: How much of its time the server works, and whom it serves.
         publish: Callbacks that receive the messages of all streams.
     """
 
@@ -118,6 +120,7 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
+        self.load = LoadMeter(self.settings.max_load, lambda: self.clock())
         self._worker = FairWorker()
         self._opens = AccountBuckets(
             self.settings.opens, self.settings.sessions, self.clock
@@ -143,18 +146,14 @@ class Sessions:
                 `denied` if the session is that of another key, which somebody got the secret of.
         """
         if session := self.by_secret.get(secret):
-            is_alien = (
-                session.owner.startswith("key:") and session.account != by.account
-            )
-            refuse_if(is_alien, "belongs to another key", "session", "denied")
+            if session.owner.startswith("key:") and session.account != by.account:
+                message = "belongs to another key"
+                raise RefusedError("denied", message, field="session")
             session.last_request = self.clock()
             return session
-        refuse_if(
-            secret in self._taken,
-            "another client took this session over",
-            "session",
-            "taken",
-        )
+        if secret in self._taken:
+            message = "another client took this session over"
+            raise RefusedError("taken", message, field="session")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -163,7 +162,7 @@ class Sessions:
         Raises:
             RefusedError: If there is none.
         """
-        if not (session := self._find_named(name)):
+        if not (session := self.find_named(name)):
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
@@ -188,7 +187,7 @@ class Sessions:
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
-            running = self._find_named(name)
+            running = self.find_named(name)
             former = None
             if request.restore:
                 if running:
@@ -295,7 +294,7 @@ class Sessions:
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
-        running = self._find_named(name)
+        running = self.find_named(name)
         self._check_secret(request, running)
         refuse_if(
             request.time_from == "client" and not self.settings.simulated_time,
@@ -325,7 +324,8 @@ class Sessions:
             "name",
         )
         is_return = request.restore and self._is_owner(request, by)
-        self._check_room(by, running if request.restore else None, is_return=is_return)
+        replaced = running if request.restore else None
+        self._check_room(by, request.robot, replaced, is_return=is_return)
         self._check_names(name, by.owner(request.session))
         refuse_if(
             not is_return and not self._opens.take(by.account),
@@ -350,13 +350,22 @@ class Sessions:
             "session",
         )
 
+    def _check_load(self, robot: str) -> None:
+        """Refuse a session that the server has no time for."""
+        running = self.by_secret.values()
+        waiting = sum(each.mode == "waiting" for each in running) + len(self._opening)
+        # A name of a family is that of no robot; all sessions count then.
+        alike = [each.name for each in running if each.robot.name == robot]
+        self.load.check_room(len(running), waiting, alike)
+
     def _check_room(
-        self, by: Caller, replaced: Session | None, *, is_return: bool
+        self, by: Caller, robot: str, replaced: Session | None, *, is_return: bool
     ) -> None:
         """Refuse a session beyond the limit of all, or beyond the share of the client.
 
         Args:
             by: The client.
+            robot: Name of the robot that it wants.
             replaced: The running session that this one takes the place of.
             is_return: Whether the client restores a session of its own. Newcomers must leave it
                 room: it may have a half of all sessions, whatever is free.
@@ -368,6 +377,8 @@ class Sessions:
         most = self.settings.sessions
         free = most - len(accounts)
         refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
+        if not (replaced or is_return):
+            self._check_load(robot)
         held = accounts.count(by.account)
         is_within = has_share(held, most - held if is_return else free)
         refuse_if(
@@ -399,9 +410,9 @@ class Sessions:
 
     def _held(self, name: str | None) -> Session | Record | None:
         """Return the open session of a name, or else its record."""
-        return self._find_named(name) or self.store.records.get(name or "")
+        return self.find_named(name) or self.store.records.get(name or "")
 
-    def _find_named(self, name: str | None) -> Session | None:
+    def find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
         return next(
             (each for each in self.by_secret.values() if each.name == name), None
@@ -410,7 +421,7 @@ class Sessions:
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
         name = request.name or ""
-        running = self._find_named(name)
+        running = self.find_named(name)
         held = self._held(name)
         if not held:
             return

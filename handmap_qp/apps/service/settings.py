@@ -46,6 +46,9 @@ class Settings:
         sessions: Open sessions, at most 128. A client with a key, or over WebSocket, may open
             another one while more are free than it has.
         rate: Messages per second from one connection.
+        max_load: Share of its time that the server may work before it refuses further sessions as
+            `busy`. If samples wait too long all the same, it answers those of the sessions opened
+            last `busy`, and their robots hold. 1 does neither.
         idle: Time without a request after which a session is closed [s].
         simulated_time: Let sessions use their clients' time stamps for speed limits; not for real
             robots.
@@ -75,6 +78,7 @@ class Settings:
     hand: tuple[Path, ...] = ()
     sessions: int = 64
     rate: float = 2000.0
+    max_load: float = 0.9
     idle: float = 60.0
     simulated_time: bool = False
     opens: Annotated[float, Suppress] = 20.0
@@ -105,6 +109,10 @@ class Settings:
                 raise InvalidOptionsError(
                     option=name, expected="a number > 0", value=value
                 )
+        if not 0.0 < self.max_load <= 1.0:
+            raise InvalidOptionsError(
+                option="max_load", expected="above 0, up to 1", value=self.max_load
+            )
         if not is_loopback(host) and self.keys is None:
             raise _exposed("host", host, "keys (handmap keys FOLDER makes them)")
         self._check_web(web_host)
