@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO, WARNING
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 from msgspec import structs
@@ -44,11 +44,12 @@ from handmap_core.client.messages import (
     Subscribe,
 )
 from handmap_core.errors import RefusedError
+from handmap_qp.hands import Names
 from .fairness import AccountBuckets
 from .logs import Throttle, report
 from .safety import BURST, Bucket, refuse_if
 from .session import Session
-from .sessions import UNKNOWN, Caller, Sessions
+from .sessions import UNKNOWN, Caller, Publish, Sessions
 from .work import Schedule, WorkQueue, in_next_turn
 
 Answer = Callable[[bytes], None]
@@ -207,6 +208,56 @@ def _poses(request: AnyRequest) -> list[tuple[str, Pose | None]]:
             return []
 
 
+def connection_rates(rate: float, clock: Callable[[], float]) -> tuple[Bucket, Bucket]:
+    """Return the limits of a connection: of its messages, and of the errors that say so.
+
+    Args:
+        rate: Messages per second.
+        clock: Monotonic clock [s].
+    """
+    return Bucket(rate, clock=clock), Bucket(_ERRORS_PER_SECOND, 1.0, clock)
+
+
+class Backend(Protocol):
+    """What answers the messages of transports: a `Dispatcher`, or worker processes.
+
+    Attributes:
+        stream_port: Port of the stream, as `opened` reports it.
+    """
+
+    stream_port: int
+
+    @property
+    def publish(self) -> list[Publish]:
+        """Callbacks that receive the messages of all streams."""
+        ...
+
+    @property
+    def names(self) -> Names:
+        """Public names of the open sessions."""
+        ...
+
+    def receive(
+        self,
+        payload: bytes,
+        peer: Hashable,
+        answer: Answer,
+        *,
+        subscribe: Subscriber | None = None,
+        by: Caller = UNKNOWN,
+    ) -> bool:
+        """Handle one message; see `Dispatcher.receive`."""
+        ...
+
+    def tick(self) -> float:
+        """Run the watchdogs; return the time until one may act next [s]."""
+        ...
+
+    async def close(self) -> None:
+        """Close all sessions."""
+        ...
+
+
 class Dispatcher:
     """Answer messages.
 
@@ -251,6 +302,16 @@ class Dispatcher:
         self._metrics.gauges["samples_per_second"] = lambda: load.last.rate
         self._metrics.gauges["wait_seconds"] = lambda: load.last.wait
         self._metrics.gauges["shed_sessions"] = lambda: len(load.shed)
+
+    @property
+    def publish(self) -> list[Publish]:
+        """Callbacks that receive the messages of all streams."""
+        return self.sessions.publish
+
+    @property
+    def names(self) -> Names:
+        """Public names of the open sessions, in the order of their opening."""
+        return self.sessions.names
 
     def receive(
         self,
@@ -399,9 +460,7 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        clock = self.sessions.clock
-        errors = Bucket(_ERRORS_PER_SECOND, 1.0, clock)
-        return Bucket(self._settings.rate, clock=clock), errors
+        return connection_rates(self._settings.rate, self.sessions.clock)
 
     def _measure_load(self) -> None:
         """End a window of the load, and say whose samples are refused from now on."""

@@ -6,7 +6,7 @@ import hmac
 import math
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
 from logging import INFO
@@ -35,6 +35,8 @@ _REMEMBERED = 1024
 
 Publish = Callable[[str, bytes], None]
 """Takes a session's name and a message of its stream (msgpack)."""
+Listener = Callable[[Session, bool], None]
+"""Takes a session, and whether it was opened; if not, it has ended."""
 
 
 class Caller(NamedTuple):
@@ -85,6 +87,52 @@ def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> st
     return "busy" if is_attended and (is_rival or not is_owner) else ""
 
 
+def check_share(
+    accounts: Sequence[str], by: Caller, most: int, *, is_return: bool
+) -> None:
+    """Refuse a session beyond the limit of all, or beyond the share of the client.
+
+    Args:
+        accounts: Accounts of all sessions that are open, or being opened.
+        by: The client.
+        most: Number of sessions that may be open.
+        is_return: Whether the client restores a session of its own. Newcomers must leave it room:
+            it may have a half of all sessions, whatever is free.
+
+    Raises:
+        RefusedError: `busy`.
+    """
+    free = most - len(accounts)
+    refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
+    held = accounts.count(by.account)
+    is_within = has_share(held, most - held if is_return else free)
+    refuse_if(
+        not (is_within or by.is_anonymous),
+        f"this client has {held} of {most} sessions: the {free} left are for others",
+        code="busy",
+    )
+
+
+def check_names(name: str | None, kept: Set[str]) -> None:
+    """Refuse a new name to an owner all of whose names are kept.
+
+    So stops, which are never forgotten, are bounded.
+
+    Args:
+        name: The name; None for one that the server makes.
+        kept: Names of the owner that are open, or stopped.
+
+    Raises:
+        RefusedError: `busy`.
+    """
+    refuse_if(
+        name not in kept and len(kept) >= MOST_NAMES,
+        f"all {MOST_NAMES} names of this client are in use or stopped: clear a stop first",
+        "name",
+        "busy",
+    )
+
+
 class _Opening(NamedTuple):
     """A session that is being opened: its name, its client's account, and its owner."""
 
@@ -107,6 +155,7 @@ class Sessions:
         by_secret: Sessions by their secrets, in the order in which they were opened.
         load: How much of its time the server works, and whom it serves.
         publish: Callbacks that receive the messages of all streams.
+        listeners: Callbacks that learn of each session that was opened, or has ended.
     """
 
     settings: Settings
@@ -120,6 +169,7 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
+        self.listeners: list[Listener] = []
         self.load = LoadMeter(self.settings.max_load, lambda: self.clock())
         self._worker = FairWorker()
         self._opens = AccountBuckets(
@@ -221,6 +271,7 @@ class Sessions:
             self.end(running, "a client restored this session", by, "taken")
         self._last_heard.pop(name, None)
         self.by_secret[request.session] = session
+        self._tell(session, is_open=True)
         self.note(session)
         self.metrics.counts["opened"] += 1
         event: Values = {
@@ -263,6 +314,7 @@ class Sessions:
         self.send(
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
+        self._tell(session, is_open=False)
         event: Values = {"session": session.name, "reason": reason}
         self.audit.note("closed", by, **event)
         report(INFO, "closed", **event, counts=session.counts)
@@ -271,6 +323,15 @@ class Sessions:
         """Publish a message in the stream of a session."""
         for publish in self.publish:
             publish(name, payload)
+
+    def hear(self, name: str, time: float) -> None:
+        """Note when the owner of a name was heard, who is on its way back [s]."""
+        self._last_heard[name] = time
+
+    def _tell(self, session: Session, *, is_open: bool) -> None:
+        """Tell the listeners that a session was opened, or has ended."""
+        for listener in self.listeners:
+            listener(session, is_open)
 
     def close(self) -> None:
         """Close all sessions."""
@@ -367,41 +428,23 @@ class Sessions:
             by: The client.
             robot: Name of the robot that it wants.
             replaced: The running session that this one takes the place of.
-            is_return: Whether the client restores a session of its own. Newcomers must leave it
-                room: it may have a half of all sessions, whatever is free.
+            is_return: Whether the client restores a session of its own.
         """
         accounts = [each.account for each in self.by_secret.values()]
         accounts += [each.account for each in self._opening.values()]
         if replaced:
             accounts.remove(replaced.account)
-        most = self.settings.sessions
-        free = most - len(accounts)
-        refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
+        check_share(accounts, by, self.settings.sessions, is_return=is_return)
         if not (replaced or is_return):
             self._check_load(robot)
-        held = accounts.count(by.account)
-        is_within = has_share(held, most - held if is_return else free)
-        refuse_if(
-            not (is_within or by.is_anonymous),
-            f"this client has {held} of {most} sessions: the {free} left are for others",
-            code="busy",
-        )
 
     def _check_names(self, name: str | None, owner: str) -> None:
-        """Refuse a new name to an owner all of whose names are kept: open, or stopped.
-
-        So stops, which are never forgotten, are bounded.
-        """
+        """Refuse a new name to an owner all of whose names are kept: open, or stopped."""
         account = names_account(owner)
         in_use = *self._opening.values(), *self.by_secret.values()
         kept = self.store.stopped(account)
         kept |= {each.name for each in in_use if names_account(each.owner) == account}
-        refuse_if(
-            name not in kept and len(kept) >= MOST_NAMES,
-            f"all {MOST_NAMES} names of this client are in use or stopped: clear a stop first",
-            "name",
-            "busy",
-        )
+        check_names(name, kept)
 
     def _is_owner(self, request: Open, by: Caller) -> bool:
         """Return whether the named session, or its record, is the client's own."""

@@ -9,6 +9,8 @@ from tyro.conf import Suppress
 from handmap_core.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.apps.addresses import bare_host, check_port, is_loopback
 
+MOST_WORKERS = 64
+"""Largest number of worker processes."""
 MOST_SESSIONS = 128
 """Largest number of open sessions; the store keeps at least as many postures of each owner."""
 
@@ -43,6 +45,8 @@ class Settings:
             releases, changes, stops or closes, with the client's name and address.
         hand: Further robot hands that clients may open, and robots with two: paths of hand.yaml and
             robot.yaml files.
+        workers: Processes that map, behind the one address; each session is in one. 0 maps in the
+            process that serves, which is the quickest for a few sessions.
         sessions: Open sessions, at most 128. A client with a key, or over WebSocket, may open
             another one while more are free than it has.
         rate: Messages per second from one connection.
@@ -76,6 +80,7 @@ class Settings:
     state: Path | None = None
     audit: Path | None = None
     hand: tuple[Path, ...] = ()
+    workers: int = 0
     sessions: int = 64
     rate: float = 2000.0
     max_load: float = 0.9
@@ -101,6 +106,11 @@ class Settings:
             expected = f"1 to {MOST_SESSIONS}"
             raise InvalidOptionsError(
                 option="sessions", expected=expected, value=self.sessions
+            )
+        if not 0 <= self.workers <= MOST_WORKERS:
+            expected = f"0 to {MOST_WORKERS}"
+            raise InvalidOptionsError(
+                option="workers", expected=expected, value=self.workers
             )
         for name in ("rate", "opens", "configures", "message_size", "idle"):
             value = getattr(self, name)
