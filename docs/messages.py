@@ -122,6 +122,7 @@ FLAGS = {
     "resumed": "the first command after a hold",
     "released": "the robot is disengaged and holds until `engage`, whatever `status` says",
     "stopped": "an emergency stop is in force, until `clear`",
+    "busy": "the server has no time for the samples of this session, so the robot holds",
 }
 """Flags of a command, besides the rule that a sample broke."""
 

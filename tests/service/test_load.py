@@ -203,6 +203,9 @@ def test_a_sample_of_a_session_that_is_shed_is_answered_busy_and_its_robot_holds
         assert "100% of the time, for 2 sessions" in answers["second"]["message"]
     assert here.sessions.named("second").mode == "hold"
     assert here.sessions.named("first").mode == "following"
+    # The stream may keep the command of the watchdog only.
+    held = [each for each in here.published if "watchdog" in each.get("flags", ())]
+    assert {each["name"] for each in held if "busy" in each["flags"]} == {"second"}
     # One that is streamed is answered in the stream.
     before = len(here.published)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -236,3 +237,24 @@ def test_a_full_queue_refuses_and_keeps_what_waits() -> None:
         queue.add("one", lambda: None, loop.schedule, is_mapping=True)
     loop.run()
     assert done == [*range(MOST_WAITING)]
+
+
+def test_a_flood_of_messages_leaves_half_of_the_time_to_the_samples() -> None:
+    loop, now, mapped = Loop(), [0.0], list[float]()
+
+    def run() -> None:
+        now[0] += 0.0005
+        mapped.append(now[0])
+
+    queue = WorkQueue(lambda: now[0])
+    for key in range(1000):
+        queue.add(key, run, loop.schedule, is_mapping=True)
+    while now[0] < 0.2:
+        # Each turn reads for longer than ten mappings take.
+        now[0] += 0.006
+        loop.turn()
+    assert 0.4 <= 0.0005 * len(mapped) / now[0] <= 0.5
+    # Between two turns, none lasts longer than a stop may wait.
+    gaps = np.diff(mapped)
+    longest = np.diff(np.flatnonzero(gaps > 0.001)).max()
+    assert longest * 0.0005 <= 0.0055

@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO, WARNING
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import msgspec
 from msgspec import structs
@@ -77,11 +77,22 @@ class _Head(msgspec.Struct):
         return self.seq if type(self.seq) is int and 0 <= self.seq <= 2**53 else 0
 
 
+class _Peek(msgspec.Struct):
+    """The fields of a sample that are read if its session is shed."""
+
+    type: str = ""
+    seq: Annotated[int, msgspec.Meta(ge=1, le=2**53)] = 1
+    session: str = ""
+    measured_q: Any = None
+
+
+_SAMPLES = ("step", "sample")
 NO_VALUE = b"\xc1"
 """The byte that begins no value in msgpack."""
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _decode = msgspec.msgpack.Decoder(AnyRequest).decode
+_decode_peek = msgspec.msgpack.Decoder(_Peek).decode
 _decode_head = msgspec.msgpack.Decoder(_Head).decode
 encode_reply = msgspec.msgpack.Encoder().encode
 
@@ -349,11 +360,40 @@ class Dispatcher:
             if errors.take():
                 send(Error(code="rate", message="too many messages"))
             return False
+        if self.sessions.load.shed and self._refuse_unread(payload, send):
+            return True
         request = decode_request(payload)
         if isinstance(request, Error):
             send(self._counted(request))
         else:
             self._carry_out(request, payload, send, subscribe)
+        return True
+
+    def _refuse_unread(self, payload: bytes, send: Send) -> bool:
+        """Refuse a sample of a session that is shed, before it takes more time.
+
+        Returns:
+            Whether it was one. A sample with joints that are measured is read all the same.
+        """
+        try:
+            peek = _decode_peek(payload)
+        except _UNREADABLE:
+            return False
+        load = self.sessions.load
+        session = self.sessions.by_secret.get(peek.session)
+        if session is None or session.name not in load.shed:
+            return False
+        if peek.type not in _SAMPLES or peek.measured_q is not None:
+            return False
+        try:
+            self.sessions.find(peek.session, self._by).counts["busy"] += 1
+            load.refuse_sample(len(self.sessions.by_secret))
+        except RefusedError as error:
+            reply = self._failure(peek.seq, error)
+        if peek.type == "step" or reply.code != "busy":
+            send(reply)
+        elif load.may_say(session.name):
+            self.sessions.send(session.name, encode_reply(reply))
         return True
 
     def _carry_out(
@@ -483,6 +523,9 @@ class Dispatcher:
 
     def _tick(self, session: Session, now: float) -> None:
         if command := session.tick(now):
+            if session.name in self.sessions.load.shed:
+                # A stream keeps the newest message, so the error may be lost behind this one.
+                command = structs.replace(command, flags=(*command.flags, "busy"))
             self._send(session, command)
 
     def _for_stream(self, sample: Sample, by: Caller) -> None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 from handmap_core.errors import RefusedError
+from .fairness import AccountBuckets
 
 WINDOW = 1.0
 """Time over which the load is measured [s]."""
@@ -29,6 +30,8 @@ _SATURATED = 0.95
 """Load at which no time is left; some passes in the selector itself."""
 _WINDOWS = 2
 """Windows of overload, or of room, before sessions are shed, or come back."""
+_SAID = 10.0
+"""Refusals a second that are told in the stream of a session."""
 _SHED = 1.0 / 8.0
 """Share of the sessions to shed at once, unless the samples left out tell it."""
 
@@ -125,6 +128,7 @@ class LoadMeter:
         self.last = Window()
         self.shed: frozenset[str] = frozenset()
         self._clock = clock
+        self._said = AccountBuckets(_SAID, 1.0, clock)
         self._overloaded = 0
         self._roomy = 0
         self._begun = clock()
@@ -186,14 +190,15 @@ class LoadMeter:
         )
         raise RefusedError("busy", message)
 
+    def may_say(self, name: str) -> bool:
+        """Return whether the stream of a session may say once more that its samples are refused."""
+        return self._said.take(name)
+
     def refuse_sample(self, sessions: int) -> NoReturn:
-        """Refuse a sample of a session that is shed.
+        """Refuse a sample of a session that is shed; raises `RefusedError`, `busy`.
 
         Args:
             sessions: Number of open sessions.
-
-        Raises:
-            RefusedError: `busy`.
         """
         message = (
             f"{self._served(sessions)}, of which the {len(self.shed)} opened last are not served: "

@@ -1,8 +1,10 @@
 """The order of requests: stops first, then one mapping at a time, the sessions in turn.
 
 A mapping takes from a fraction of a millisecond to some ten. So it waits in a queue, and the event
-loop reads all messages that have arrived before it runs the next one. A stop therefore waits for
-the mapping that runs, and for no other.
+loop reads the messages that have arrived before it runs the next one. A stop therefore waits for
+the mapping that runs, and for no other. Only where messages take longer to read than samples to
+map, as many are mapped at once as take the same time, up to 5 ms. So a flood of messages leaves
+half of the time to the samples.
 """
 
 import asyncio
@@ -18,6 +20,10 @@ _TURNS = 4
 """Turns of the event loop in which a message passes the sockets, between two mappings."""
 _TURNS_PER_SECOND = 1e3
 """Further turns for each second of a mapping: longer ones leave more messages behind."""
+_LONGEST_TURNS = 0.002
+"""Time after which these turns are enough [s]."""
+_MOST_MAPPING = 0.005
+"""Time after which messages are read again, once the mapping is done that runs [s]."""
 
 Schedule = Callable[[Callable[[], None]], object]
 """Calls a function in a later turn of the event loop, as `in_next_turn` does."""
@@ -57,6 +63,8 @@ class WorkQueue:
         # The session whose turn is next is first. Sessions without work are left out.
         self._jobs: dict[Hashable, deque[_Job]] = {}
         self._turns = 0
+        # Since when messages are read while samples wait [s].
+        self._reading = 0.0
         self._is_scheduled = False
 
     def __len__(self) -> int:
@@ -126,6 +134,8 @@ class WorkQueue:
             self.overtake(key)
 
     def _append(self, key: Hashable, job: _Job, schedule: Schedule) -> None:
+        if not self._jobs:
+            self._reading = job.since
         self._jobs.setdefault(key, deque()).append(job)
         self._go_on(schedule)
 
@@ -136,24 +146,32 @@ class WorkQueue:
             schedule(lambda: self._turn(schedule))
 
     def _turn(self, schedule: Schedule) -> None:
-        """Carry out one request, unless messages must be read first."""
+        """Carry out what is due, unless messages must be read first."""
         self._is_scheduled = False
-        if self._turns:
+        began = now = self._clock()
+        spent = began - self._reading
+        if self._turns and spent < _LONGEST_TURNS:
             self._turns -= 1
-        elif self._jobs:
-            key = next(iter(self._jobs))
-            jobs = self._jobs.pop(key)
-            job = jobs.popleft()
-            if jobs:
-                # Its next turn comes after those of all others.
-                self._jobs[key] = jobs
-            self._run(job)
+        else:
+            until = began + min(spent, _MOST_MAPPING)
+            while self._jobs:
+                now = self._run_next(now)
+                if now >= until:
+                    break
+            took = now - began
+            self._turns = _TURNS + int(took * _TURNS_PER_SECOND) if self._jobs else 0
+            self._reading = now
         self._go_on(schedule)
 
-    def _run(self, job: _Job) -> None:
-        began = self._clock()
-        self.waited = began - job.since
+    def _run_next(self, now: float) -> float:
+        """Carry out the first request of the session whose turn it is; return the time then."""
+        key = next(iter(self._jobs))
+        jobs = self._jobs.pop(key)
+        job = jobs.popleft()
+        if jobs:
+            # Its next turn comes after those of all others.
+            self._jobs[key] = jobs
+        self.waited = now - job.since
         job.run()
         self.waited = 0.0
-        took = self._clock() - began
-        self._turns = _TURNS + int(took * _TURNS_PER_SECOND) if self._jobs else 0
+        return self._clock()
