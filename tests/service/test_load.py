@@ -49,7 +49,7 @@ class Bench:
         self.now += WINDOW
         self.waited += (1.0 - load) * WINDOW
         assert self.now >= self.meter.ends
-        self.meter.update(names)
+        self.meter.update(self.now, names)
         return self.meter.shed
 
 
@@ -95,7 +95,7 @@ def test_a_session_is_expected_to_take_what_those_of_its_robot_take() -> None:
     here.meter.note("quick", 0.0, 0.05 * WINDOW)
     here.now += WINDOW
     here.waited += 0.4 * WINDOW
-    here.meter.update(["slow", "quick"])
+    here.meter.update(here.now, ["slow", "quick"])
     # Messages take a third of the load, which is shared in proportion.
     here.meter.check_room(2, 0, ["quick"])
     with pytest.raises(RefusedError):

@@ -24,21 +24,28 @@ from service_tools import (
     code_of,
     human_q,
     in_loop,
+    opening,
     serving,
 )
 from websockets.sync.client import connect
 
 from handmap_qp.apps.service.channel import (
     Answered,
+    Began,
     Channel,
     FromWorker,
     Noted,
     Published,
+    Ready,
+    Report,
 )
+from handmap_qp.apps.service.logs import AuditLog, Metrics
 from handmap_qp.apps.service.pool import WorkerPool
 from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import Client, ServiceError
-from handmap_qp.client.messages import PROTOCOL
+from handmap_qp.client.messages import PROTOCOL, Request, Status
 
 # Processes and sockets: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -359,6 +366,83 @@ def test_a_channel_passes_messages_on_however_its_bytes_arrive(
     assert received == sent
     # A message to an end that is gone is dropped.
     channel.send(Noted(b""))
+
+
+class Quiet:
+    """A pool without processes, with a clock of the test."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.metrics = Metrics()
+        settings = Settings(workers=2, max_load=0.9)
+        store, audit = PostureStore(None), AuditLog()
+        self.pool = WorkerPool(settings, store, self.metrics, audit, lambda: self.now)
+        self.interrupted: list[int] = []
+
+    def serve(self) -> None:
+        """Let the workers say that they are ready."""
+        for worker in self.pool._workers:
+            number = worker.number
+            vars(worker)["interrupt"] = lambda n=number: self.interrupted.append(n)
+            self.pool.receive_from(worker, Ready())
+
+    def ask(self, request: Request) -> list[dict[str, Any]]:
+        """Send a request; return the answers of the pool itself."""
+        answers: list[bytes] = []
+        payload = msgspec.msgpack.encode(request)
+        self.pool.receive(payload, "one", answers.append)
+        return [msgspec.msgpack.decode(answer) for answer in answers]
+
+
+def test_a_pool_without_workers_that_serve_is_busy() -> None:
+    here = Quiet()
+    for request in (opening(), Status(protocol=PROTOCOL, seq=1)):
+        (answer,) = here.ask(request)
+        assert answer["code"] == "busy"
+    here.serve()
+    assert here.ask(opening()) == []
+
+
+def test_a_worker_that_says_nothing_is_killed() -> None:
+    here = Quiet()
+    here.serve()
+    first, other = here.pool._workers
+    numbers = Report({}, {}, (0,) * 9, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, (), 0)
+    for _ in range(3):
+        here.now += 6.0
+        here.pool.receive_from(other, numbers)
+        here.pool.tick()
+    assert here.interrupted == [first.number]
+
+
+def test_a_session_goes_to_the_worker_that_works_least() -> None:
+    here = Quiet()
+    here.serve()
+    first, other = here.pool._workers
+    loads = {first: 0.5, other: 0.35}
+    chosen = []
+    for i in range(4):
+        for worker, load in loads.items():
+            numbers = (0.0, load, 0.0, 0.0, 0.0, 0.0, 0.0, (), 0)
+            if i in (0, 3):
+                here.pool.receive_from(worker, Report({}, {}, (0,) * 9, *numbers))
+        least = here.pool._least()
+        chosen.append(least)
+        here.pool.receive_from(least, Began(f"secret-{i}" * 3, f"name-{i}", "one"))
+    # What was opened since the last report counts, too.
+    assert chosen == [other, other, first, other]
+
+
+def test_a_server_that_has_no_time_to_pass_messages_on_opens_nothing() -> None:
+    here = Quiet()
+    here.serve()
+    here.pool.load.waited = lambda: 0.05 * here.now
+    here.now += 1.0
+    here.pool.tick()
+    (answer,) = here.ask(opening())
+    assert answer["code"] == "busy"
+    assert "95%" in answer["message"]
+    assert "\nhandmap_load 0.95" in here.metrics.render()
 
 
 def test_addresses_are_those_of_one_server(server: Server) -> None:

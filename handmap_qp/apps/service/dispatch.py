@@ -475,7 +475,7 @@ class Dispatcher:
         """
         now = self.sessions.clock()
         if now >= self.sessions.load.ends:
-            self._measure_load()
+            self._measure_load(now)
         due = math.inf
         for session in list(self.sessions.by_secret.values()):
             is_idle = now - session.last_request > self._settings.idle
@@ -502,11 +502,11 @@ class Dispatcher:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
         return connection_rates(self._settings.rate, self.sessions.clock)
 
-    def _measure_load(self) -> None:
+    def _measure_load(self, now: float) -> None:
         """End a window of the load, and say whose samples are refused from now on."""
         load = self.sessions.load
         before = load.shed
-        load.update(self.sessions.names)
+        load.update(now, self.sessions.names)
         if load.shed == before:
             return
         report(

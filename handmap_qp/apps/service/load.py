@@ -127,7 +127,6 @@ class LoadMeter:
         self.waited: Callable[[], float] | None = None
         self.last = Window()
         self.shed: frozenset[str] = frozenset()
-        self._clock = clock
         self._said = AccountBuckets(_SAID, 1.0, clock)
         self._overloaded = 0
         self._roomy = 0
@@ -151,14 +150,16 @@ class LoadMeter:
         """Count a sample that was replaced before it was mapped."""
         self._replaced += 1
 
-    def update(self, names: Sequence[str]) -> None:
-        """End the window, and decide whose samples are refused in the next one.
+    def update(self, now: float, names: Sequence[str]) -> None:
+        """End the window if it is over, and decide whose samples are refused in the next one.
 
         Args:
+            now: The present [s].
             names: Names of the open sessions, in the order in which they were opened.
         """
-        now = self._clock()
         elapsed = now - self._begun
+        if elapsed < WINDOW:
+            return
         self.last = Window(
             load=self._share_of(elapsed),
             rate=self._samples / elapsed,

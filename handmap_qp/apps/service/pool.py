@@ -16,6 +16,7 @@ open them again where their robots are.
 
 import asyncio
 import logging
+import os
 import pickle
 import socket
 import subprocess
@@ -161,10 +162,11 @@ class _Worker:
         ours, theirs = socket.socketpair()
         self._gone.clear()
         with theirs:
-            command = "-m", "handmap_qp.apps.service.worker", str(theirs.fileno())
+            command = "-P", "-m", "handmap_qp.apps.service.worker"
             self._process = subprocess.Popen(
-                [sys.executable, *command],
+                [sys.executable, *command, str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
+                env=_environment(),
                 pass_fds=(theirs.fileno(),),
             )
         decode = msgspec.msgpack.Decoder(FromWorker).decode
@@ -330,7 +332,7 @@ class WorkerPool:
         """
         now = self._clock()
         if now >= self.load.ends:
-            self.load.update(())
+            self.load.update(now, ())
         for worker in self._workers:
             if worker.ready.is_set() and now - worker.reported > _HUNG:
                 report(ERROR, "worker_hangs", worker=worker.number, seconds=_HUNG)
@@ -727,6 +729,12 @@ class WorkerPool:
     def busy(self) -> float:
         """Longest CPU time of a worker between two turns of its event loop [s]."""
         return max((each.busy for each in self._reports()), default=0.0)
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of a worker: modules are found as here, and one core is used."""
+    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return one | os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
 
 
 def _route_of(payload: bytes) -> _Route:
