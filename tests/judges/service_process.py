@@ -39,6 +39,8 @@ class ServiceProcess:
             "stream_port": 0,
             "health_port": 0,
             "log_level": "error",
+            # Other programs of the machine must not make it refuse sessions.
+            "max_load": 1.0,
             **choices,
         }
         self.log = Path(tempfile.mkstemp(suffix=".log")[1])

@@ -11,15 +11,28 @@ import socket
 from collections.abc import Sequence
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import wait_until
 from service_desk import Desk, sample_of, secret_of
-from service_tools import PERIOD, Sampler, opening, streamed
+from service_tools import (
+    PERIOD,
+    Sampler,
+    code_of,
+    connected,
+    human_q,
+    in_loop,
+    opening,
+    serving,
+    streamed,
+)
 
 from handmap_qp.apps.service.load import LATE, WINDOW, LoadMeter, TimedSelector
 from handmap_qp.apps.service.logs import JsonLines, log
 from handmap_qp.apps.service.sessions import Caller
+from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Open, Status, Stop
 from handmap_qp.errors import RefusedError
 
@@ -274,3 +287,31 @@ def test_a_server_that_is_full_opens_no_session_but_gives_back_its_own() -> None
     here.wait(WINDOW)
     assert open_now(here, another) == ""
     here.sessions.close()
+
+
+@pytest.mark.slow
+def test_a_client_is_told_that_its_samples_are_not_served() -> None:
+    q, wrist = human_q(), np.eye(4)
+    with serving() as server, connected(server, name="lab", watchdog=0.05) as client:
+        client.step(q=q, wrist=wrist)
+        load = server.dispatcher.sessions.load
+        in_loop(server, lambda: vars(load).update(shed=frozenset({"lab"})))
+        with pytest.raises(ServiceError) as refused:
+            client.step(q=q, wrist=wrist)
+        assert code_of(refused)[0] == "busy"
+        assert client.status().busy == ("lab",)
+
+        def told() -> bool:
+            """Stream a sample; return whether the stream says why the robot holds."""
+            client.send(q=q, wrist=wrist)
+            try:
+                command = client.latest(0.1)
+            except ServiceError as error:
+                return error.error.code == "busy"
+            return command is not None and "busy" in command.flags
+
+        wait_until(told)
+        client.stop()
+        assert client.status().mode == "stopped"
+        in_loop(server, lambda: vars(load).update(shed=frozenset()))
+        assert client.step(q=q, wrist=wrist).status == "stopped"
