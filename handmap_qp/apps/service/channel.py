@@ -169,6 +169,7 @@ class Channel(asyncio.Protocol, Generic[M]):
         self._receive = receive
         self._lost = lost
         self._data = bytearray()
+        self._unsent = bytearray()
         self._transport: asyncio.WriteTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -200,13 +201,27 @@ class Channel(asyncio.Protocol, Generic[M]):
         transport = self._transport
         if transport is None or transport.is_closing():
             return
+        if not self._unsent:
+            # A call of the system for all messages of a turn.
+            asyncio.get_running_loop().call_soon(self._flush)
         payload = _encode(message)
-        transport.write(len(payload).to_bytes(_HEAD, "big") + payload)
-        if transport.get_write_buffer_size() > MOST_UNSENT:
-            # The other process does not read any more.
-            transport.abort()
+        self._unsent += len(payload).to_bytes(_HEAD, "big")
+        self._unsent += payload
 
     def close(self) -> None:
         """Send what was written, and close."""
         if self._transport is not None:
+            self._flush()
             self._transport.close()
+
+    def _flush(self) -> None:
+        """Write the messages of this turn of the event loop."""
+        data = bytes(self._unsent)
+        self._unsent.clear()
+        transport = self._transport
+        if not data or transport is None or transport.is_closing():
+            return
+        transport.write(data)
+        if transport.get_write_buffer_size() > MOST_UNSENT:
+            # The other process does not read any more.
+            transport.abort()
