@@ -122,6 +122,7 @@ FLAGS = {
     "resumed": "the first command after a hold",
     "released": "the robot is disengaged and holds until `engage`, whatever `status` says",
     "stopped": "an emergency stop is in force, until `clear`",
+    "busy": "the server has no time for the samples of this session, so the robot holds",
 }
 """Flags of a command, besides the rule that a sample broke."""
 
@@ -132,7 +133,8 @@ CODES = {
     "no_session": "the server does not know the session: it was restarted, or closed the session",
     "taken": "another client took the session over (`restore`)",
     "stale": "the number is not above the last one, and the request is not a repetition",
-    "busy": "all sessions are in use, or this one is, or the client's share of them",
+    "busy": "all sessions are in use, or this one is, or the client's share of them; or the server "
+    "has no time for a further session, or for the samples of those opened last: their robots hold",
     "rate": "too many messages, openings or changes of options per second; `seq` may be 0",
     "stopped": "an emergency stop is in force: clear it first",
     "denied": "the server or the client of the session does not allow it",

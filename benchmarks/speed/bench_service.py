@@ -5,6 +5,9 @@ one client at 1 kHz, thirty clients at 60 Hz, and one client over WebSocket, for
 share of the round trips goes to the echo, which neither reads nor maps, from the same client and
 with messages of the same length. So the load of the machine affects both alike.
 
+A second table has the sessions that a server serves by the number of its worker processes, and the
+round trips of stops while it is loaded.
+
     python benchmarks bench_service --picture service.png --json service.json
 """
 
@@ -25,6 +28,7 @@ import zmq
 import zmq.asyncio
 from service_clients import HumanMotion, pace
 from service_process import ServiceProcess, echoing, serving
+from service_sessions import sessions_by_cores
 
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import Metrics
@@ -38,6 +42,12 @@ _ECHO_EVERY = 20
 _CLIENTS_A_PROCESS = 10
 _TRACKER_RATE = 90.0
 _TRACKED = {"robot": "allegro_right", "input": "landmarks", "hand_length": 0.18}
+_SESSIONS_CAPTION = (
+    "server_us, worker_us: CPU time a sample of the process that serves, and of all workers.\n"
+    "sessions: how many at 90 Hz leave the busiest process, with a core of its own, a tenth of its "
+    "time.\nmapped_%: of the samples that were sent; the others were replaced by newer ones.\n"
+    "stop: round trip of a stop of another session meanwhile."
+)
 Ask = Callable[[bytes], Any]
 
 
@@ -449,6 +459,21 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--robot", default="three_finger", help="robot hand; three_finger by default"
     )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        nargs="*",
+        default=[0, 1, 2],
+        metavar="N",
+        help="worker processes of the servers that many sessions load; 0 1 2 by default",
+    )
+    parser.add_argument(
+        "--sessions",
+        type=int,
+        default=20,
+        metavar="N",
+        help="sessions at 90 Hz that load them; 20 by default",
+    )
     arguments = common.parse_arguments(parser, words)
     duration, clients = (
         (0.5, 4) if arguments.quick else (arguments.duration, arguments.clients)
@@ -487,8 +512,21 @@ def main(words: Sequence[str] | None = None) -> None:
         to_stderr=arguments.json == "-",
         caption=caption,
     )
+    sessions = 4 if arguments.quick else arguments.sessions
+    by_cores = sessions_by_cores(
+        arguments.workers, recording, sessions, _TRACKER_RATE, duration
+    )
+    if by_cores:
+        common.print_table(
+            "Sessions by cores",
+            by_cores,
+            to_stderr=arguments.json == "-",
+            caption=_SESSIONS_CAPTION,
+        )
     common.write_json(
-        arguments.json, "service", {"rows": rows, "memory_growth_MB": growth}
+        arguments.json,
+        "service",
+        {"rows": rows, "memory_growth_MB": growth, "sessions": by_cores},
     )
     common.save_picture(arguments.picture, lambda: draw(rows))
 

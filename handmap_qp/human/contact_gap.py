@@ -95,9 +95,11 @@ class ContactGapMeter:
 
     def __init__(self, gap: float) -> None:
         self.gap = gap
-        # The instants of recent samples, their gaps, and the least one of each.
-        self._recent: deque[tuple[float, list[float], float]] = deque()
+        # The instants of recent samples, their gaps, and whether tips may touch in each.
+        self._recent: deque[tuple[float, list[float], bool]] = deque()
         self._touches: deque[float] = deque(maxlen=_TOUCHES[1])
+        # Number of the recent samples in which tips may touch.
+        self._near = 0
         self._least = math.inf
         self._is_due = False
 
@@ -114,16 +116,19 @@ class ContactGapMeter:
         # For so few numbers, numpy takes twice as long as plain floats.
         thumb, *tips = landmarks[TIPS, :].tolist()
         gaps = [*map(math.dist, repeat(thumb), tips)]
-        self._recent.append((time, gaps, min(gaps)))
-        while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
-            self._recent.popleft()
-        if len(self._recent) < 3:
+        is_near = min(gaps) < TOUCH_GAP
+        self._near += is_near
+        recent = self._recent
+        recent.append((time, gaps, is_near))
+        while not 0.0 <= time - recent[0][0] <= _MEDIAN_TIME:
+            self._near -= recent.popleft()[2]
+        if len(recent) < 3:
             return False
-        _, rows, least = zip(*self._recent, strict=True)
         is_waiting = self._least == math.inf and not self._is_due
-        if is_waiting and min(least) >= TOUCH_GAP:
+        if is_waiting and not self._near:
             # No median is below the least number, so no touch begins.
             return False
+        _, rows, _ = zip(*recent, strict=True)
         columns = map(sorted, zip(*rows, strict=True))
         half = len(rows) // 2
         smallest = min([0.5 * (gaps[half] + gaps[~half]) for gaps in columns])

@@ -26,6 +26,7 @@ class ServiceProcess:
 
     Attributes:
         ports: Its ports by name.
+        workers: Numbers of its worker processes, as they were at the start.
         failures: After `stop`: log lines of unexpected exceptions.
         stop_times: Time from SIGTERM to the end of the process, of every service so far [s].
     """
@@ -38,10 +39,13 @@ class ServiceProcess:
             "stream_port": 0,
             "health_port": 0,
             "log_level": "error",
+            # Other programs of the machine must not make it refuse sessions.
+            "max_load": 1.0,
             **choices,
         }
         self.log = Path(tempfile.mkstemp(suffix=".log")[1])
         self.ports: dict[str, int] = {}
+        self.workers: list[int] = []
         self.failures: list[str] = []
         self.start()
 
@@ -73,6 +77,7 @@ class ServiceProcess:
                 f"the service did not start: {self.log.read_text()[-2000:]}"
             )
         self.ports = json.loads(ready)["ports"]
+        self.workers = json.loads(ready).get("workers", [])
 
     @property
     def address(self) -> str:
@@ -125,8 +130,17 @@ class ServiceProcess:
 
     def cpu(self) -> float:
         """CPU time of all its threads so far [s]."""
-        # The clock of a process by its number, as of clock_getcpuclockid(3).
-        return time.clock_gettime(~self.process.pid << 3 | 2)
+        return _cpu_of(self.process.pid)
+
+    def worker_cpu(self) -> list[float]:
+        """CPU time of each worker process so far [s]."""
+        return [_cpu_of(pid) for pid in self.workers]
+
+
+def _cpu_of(pid: int) -> float:
+    """CPU time of all threads of a process so far [s]."""
+    # The clock of a process by its number, as of clock_getcpuclockid(3).
+    return time.clock_gettime(~pid << 3 | 2)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from service_desk import Desk
 from service_tools import (
     CACHE,
     PERIOD,
@@ -26,11 +27,10 @@ from service_tools import (
     streamed,
 )
 
-from handmap_qp.apps.service.dispatch import Dispatcher, decode_request
-from handmap_qp.apps.service.logs import JsonLines, Metrics, log
+from handmap_qp.apps.service.dispatch import decode_request
+from handmap_qp.apps.service.logs import JsonLines, log
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import LEASE, Caller, Sessions
-from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.sessions import LEASE, Caller
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.apps.service.websocket import _from_json
 from handmap_qp.client.messages import (
@@ -38,45 +38,8 @@ from handmap_qp.client.messages import (
     Command,
     Error,
     Measured,
-    Request,
     Status,
 )
-
-
-class Desk:
-    """A dispatcher with its clock and the messages of its streams.
-
-    Args:
-        store: Record of the postures; in memory if omitted.
-        **caps: Limits of what clients may do.
-    """
-
-    def __init__(self, store: PostureStore | None = None, **caps: Any) -> None:
-        self.now = 0.0
-        self.published: list[dict[str, Any]] = []
-        self.metrics, self.store = Metrics(), store or PostureStore(None)
-        self.sessions = Sessions(
-            Settings(**caps),
-            CACHE,
-            self.metrics,
-            store=self.store,
-            clock=lambda: self.now,
-        )
-        self.dispatcher = Dispatcher(self.sessions)
-        self.sessions.publish.append(
-            lambda name, payload: self.published.append(msgspec.msgpack.decode(payload))
-        )
-
-    def take(self, request: Request, peer: str = "one") -> list[dict[str, Any]]:
-        """Send a request; return its immediate answers: one or none."""
-        answers: list[bytes] = []
-        self.dispatcher.receive(msgspec.msgpack.encode(request), peer, answers.append)
-        return [msgspec.msgpack.decode(answer) for answer in answers]
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-        self.now += seconds
-        self.dispatcher.tick()
 
 
 @contextmanager

@@ -456,10 +456,9 @@ def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:
 
 def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
     names = ["lab", *(f"session-{i}" for i in range(3 * MOST_SESSIONS))]
-    sessions = types.SimpleNamespace(names=("lab", "other"))
-    dispatcher: Any = types.SimpleNamespace(sessions=sessions)
+    backend: Any = types.SimpleNamespace(names=("lab", "other"))
     connection: Any = types.SimpleNamespace(streams={})
-    transport = WebSocketTransport(Settings(), None, dispatcher)
+    transport = WebSocketTransport(Settings(), None, backend)
     for name in names:
         transport._subscribe(connection, bytes, name)
         assert len(connection.streams) <= MOST_SESSIONS

@@ -771,6 +771,10 @@ class State(Reply):
         stream_port: Port of the streams (ZeroMQ PUB).
         about: Hands and options of the session.
         fist: How long the session's robot takes for a fist; null if not known.
+        load: Share of the last second in which the server worked; null if not measured. Of a
+            session: what its samples took.
+        samples_per_second: Samples that the server mapped in the last second; only of the server.
+        busy: Names of the sessions whose samples are answered `busy`.
     """
 
     version: str
@@ -788,6 +792,9 @@ class State(Reply):
     stream_port: int = 0
     about: About | None = None
     fist: Fist | None = None
+    load: float | None = None
+    samples_per_second: float = 0.0
+    busy: Names = ()
 
 
 class Done(Reply):

@@ -10,10 +10,11 @@ import re
 from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
-from logging import ERROR, INFO
-from typing import Any
+from logging import ERROR, INFO, WARNING
+from typing import Annotated, Any, Protocol
 
 import msgspec
+from msgspec import structs
 
 from handmap_core.client import messages
 from handmap_core.client.messages import (
@@ -43,11 +44,13 @@ from handmap_core.client.messages import (
     Subscribe,
 )
 from handmap_core.errors import RefusedError
+from handmap_qp.hands import Names
 from .fairness import AccountBuckets
-from .logs import Throttle
+from .logs import Throttle, report
 from .safety import BURST, Bucket, refuse_if
 from .session import Session
-from .sessions import UNKNOWN, Caller, Sessions
+from .sessions import UNKNOWN, Caller, Publish, Sessions
+from .work import Schedule, WorkQueue, in_next_turn
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
@@ -74,11 +77,22 @@ class _Head(msgspec.Struct):
         return self.seq if type(self.seq) is int and 0 <= self.seq <= 2**53 else 0
 
 
+class _Peek(msgspec.Struct):
+    """The fields of a sample that are read if its session is shed."""
+
+    type: str = ""
+    seq: Annotated[int, msgspec.Meta(ge=1, le=2**53)] = 1
+    session: str = ""
+    measured_q: Any = None
+
+
+_SAMPLES = ("step", "sample")
 NO_VALUE = b"\xc1"
 """The byte that begins no value in msgpack."""
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _decode = msgspec.msgpack.Decoder(AnyRequest).decode
+_decode_peek = msgspec.msgpack.Decoder(_Peek).decode
 _decode_head = msgspec.msgpack.Decoder(_Head).decode
 encode_reply = msgspec.msgpack.Encoder().encode
 
@@ -101,7 +115,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         return _unreadable(payload, error)
     if request.protocol not in messages.PROTOCOLS:
         return _wrong_protocol(request.seq, request.protocol, messages.PROTOCOLS)
-    if isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL:
+    if request.protocol < _STOP_PROTOCOL and isinstance(request, Stop | Clear):
         return _wrong_protocol(request.seq, request.protocol, (_STOP_PROTOCOL,))
     for place, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=place)
@@ -205,6 +219,56 @@ def _poses(request: AnyRequest) -> list[tuple[str, Pose | None]]:
             return []
 
 
+def connection_rates(rate: float, clock: Callable[[], float]) -> tuple[Bucket, Bucket]:
+    """Return the limits of a connection: of its messages, and of the errors that say so.
+
+    Args:
+        rate: Messages per second.
+        clock: Monotonic clock [s].
+    """
+    return Bucket(rate, clock=clock), Bucket(_ERRORS_PER_SECOND, 1.0, clock)
+
+
+class Backend(Protocol):
+    """What answers the messages of transports: a `Dispatcher`, or worker processes.
+
+    Attributes:
+        stream_port: Port of the stream, as `opened` reports it.
+    """
+
+    stream_port: int
+
+    @property
+    def publish(self) -> list[Publish]:
+        """Callbacks that receive the messages of all streams."""
+        ...
+
+    @property
+    def names(self) -> Names:
+        """Public names of the open sessions."""
+        ...
+
+    def receive(
+        self,
+        payload: bytes,
+        peer: Hashable,
+        answer: Answer,
+        *,
+        subscribe: Subscriber | None = None,
+        by: Caller = UNKNOWN,
+    ) -> bool:
+        """Handle one message; see `Dispatcher.receive`."""
+        ...
+
+    def tick(self) -> float:
+        """Run the watchdogs; return the time until one may act next [s]."""
+        ...
+
+    async def close(self) -> None:
+        """Close all sessions."""
+        ...
+
+
 class Dispatcher:
     """Answer messages.
 
@@ -214,9 +278,13 @@ class Dispatcher:
     Attributes:
         sessions: As given.
         stream_port: Port of the stream, as `opened` reports it.
+        schedule: Calls a function in a later turn of the event loop, so that all messages that have
+            arrived are read before the next sample is mapped; None maps samples at once that are
+            answered.
     """
 
     def __init__(self, sessions: Sessions) -> None:
+        self.schedule: Schedule | None = None
         self.sessions = sessions
         self.stream_port = 0
         self._settings = sessions.settings
@@ -232,12 +300,29 @@ class Dispatcher:
         )
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
-        self._pending = {}
+        self._work = WorkQueue(lambda: sessions.clock())
         self._opening = {}
+        # The last command of a stream, which mostly is an answer, too.
+        self._published: tuple[Command | None, bytes] = (None, b"")
         self._refusals = Throttle()
         self._bugs = Throttle()
         self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
         self._metrics.gauges["uptime_seconds"] = self._uptime
+        load = sessions.load
+        self._metrics.gauges["load"] = lambda: load.last.load
+        self._metrics.gauges["samples_per_second"] = lambda: load.last.rate
+        self._metrics.gauges["wait_seconds"] = lambda: load.last.wait
+        self._metrics.gauges["shed_sessions"] = lambda: len(load.shed)
+
+    @property
+    def publish(self) -> list[Publish]:
+        """Callbacks that receive the messages of all streams."""
+        return self.sessions.publish
+
+    @property
+    def names(self) -> Names:
+        """Public names of the open sessions, in the order of their opening."""
+        return self.sessions.names
 
     def receive(
         self,
@@ -264,7 +349,8 @@ class Dispatcher:
         """
 
         def send(reply: AnyReply) -> None:
-            answer(encode_reply(reply))
+            command, encoded = self._published
+            answer(encoded if reply is command else encode_reply(reply))
 
         samples, errors = self._rates(peer)
         self._by = by
@@ -274,32 +360,112 @@ class Dispatcher:
             if errors.take():
                 send(Error(code="rate", message="too many messages"))
             return False
-        match request := decode_request(payload):
-            case Error():
-                send(self._counted(request))
+        if self.sessions.load.shed and self._refuse_unread(payload, send):
+            return True
+        request = decode_request(payload)
+        if isinstance(request, Error):
+            send(self._counted(request))
+        else:
+            self._carry_out(request, payload, send, subscribe)
+        return True
+
+    def _refuse_unread(self, payload: bytes, send: Send) -> bool:
+        """Refuse a sample of a session that is shed, before it takes more time.
+
+        Returns:
+            Whether it was one. A sample with joints that are measured is read all the same.
+        """
+        try:
+            peek = _decode_peek(payload)
+        except _UNREADABLE:
+            return False
+        load = self.sessions.load
+        session = self.sessions.by_secret.get(peek.session)
+        if session is None or session.name not in load.shed:
+            return False
+        if peek.type not in _SAMPLES or peek.measured_q is not None:
+            return False
+        try:
+            self.sessions.find(peek.session, self._by).counts["busy"] += 1
+            load.refuse_sample(len(self.sessions.by_secret))
+        except RefusedError as error:
+            reply = self._failure(peek.seq, error)
+        if peek.type == "step" or reply.code != "busy":
+            send(reply)
+        elif load.may_say(session.name):
+            self.sessions.send(session.name, encode_reply(reply))
+        return True
+
+    def _carry_out(
+        self,
+        request: AnyRequest,
+        payload: bytes,
+        send: Send,
+        subscribe: Subscriber | None,
+    ) -> None:
+        """Carry out a request, or let it wait for its turn."""
+        match request:
             case Sample():
-                # Keep the newest one of each session until all waiting messages have been read.
-                if not self._pending:
-                    asyncio.get_running_loop().call_soon(self.flush)
-                elif (by, request.session) in self._pending:
-                    self._metrics.counts["replaced"] += 1
-                self._pending[by, request.session] = request, send
+                self._receive_sample(request, send)
+            case Step() if self.schedule is not None:
+                self._wait(request, payload, send, self.schedule)
+            case Stop() | Disengage():
+                self._overtake(request)
+                send(self._attempt(self._answer, request, payload))
             case Open():
                 self._receive_open(request, payload, send)
             case Subscribe():
                 send(self._attempt(self._subscribe, request, subscribe))
+            case _ if self.schedule and self._work.is_waiting(request.session):
+                # A client's own requests keep their order.
+                self._wait(request, payload, send, self.schedule)
             case _:
                 send(self._attempt(self._answer, request, payload))
-        return True
 
-    def flush(self) -> None:
-        """Map the newest streamed sample of each session since the last call."""
-        pending = self._pending
-        self._pending = {}
-        for (by, _), (sample, send) in pending.items():
+    def _receive_sample(self, sample: Sample, send: Send) -> None:
+        """Let a streamed sample wait for its turn, of each session the newest."""
+        by = self._by
+
+        def run() -> None:
             reply = self._attempt(self._for_stream, sample, by)
             if isinstance(reply, Error):
                 send(reply)
+
+        schedule = self.schedule or in_next_turn
+        if self._work.put((by, sample.session), run, schedule):
+            self._metrics.counts["replaced"] += 1
+            self.sessions.load.note_replaced()
+
+    def _wait(
+        self, request: AnyRequest, payload: bytes, send: Send, schedule: Schedule
+    ) -> None:
+        """Let a request wait for its turn, which is answered then."""
+        by = self._by
+
+        def run() -> None:
+            self._by = by
+            send(self._attempt(self._answer, request, payload))
+
+        is_mapping = isinstance(request, Step)
+        try:
+            self._work.add(request.session, run, schedule, is_mapping=is_mapping)
+        except RefusedError as error:
+            send(self._failure(request.seq, error))
+
+    def _overtake(self, request: Stop | Disengage) -> None:
+        """Let a request that stops a robot overtake the samples that wait.
+
+        A sample of the same client that has a lower number is then `stale`.
+        """
+        by = self._by
+        if request.session:
+            self._work.overtake(request.session)
+        elif request.name is None:
+            self._work.overtake_all()
+        elif session := self.sessions.find_named(request.name):
+            self._work.overtake(session.request.session)
+        # What was carried out may be of other clients.
+        self._by = by
 
     def tick(self) -> float:
         """Run the watchdogs and close idle sessions.
@@ -308,6 +474,8 @@ class Dispatcher:
             Time until a watchdog may act next if no request comes [s]; not above 0 for at once.
         """
         now = self.sessions.clock()
+        if now >= self.sessions.load.ends:
+            self._measure_load(now)
         due = math.inf
         for session in list(self.sessions.by_secret.values()):
             is_idle = now - session.last_request > self._settings.idle
@@ -332,15 +500,32 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        clock = self.sessions.clock
-        errors = Bucket(_ERRORS_PER_SECOND, 1.0, clock)
-        return Bucket(self._settings.rate, clock=clock), errors
+        return connection_rates(self._settings.rate, self.sessions.clock)
+
+    def _measure_load(self, now: float) -> None:
+        """End a window of the load, and say whose samples are refused from now on."""
+        load = self.sessions.load
+        before = load.shed
+        load.update(now, self.sessions.names)
+        if load.shed == before:
+            return
+        report(
+            WARNING,
+            "overload" if load.shed - before else "served_again",
+            shed=sorted(load.shed),
+            load=round(load.last.load, 3),
+            samples_per_second=round(load.last.rate),
+            wait_seconds=round(load.last.wait, 4),
+        )
 
     def _uptime(self) -> float:
         return self.sessions.clock() - self._started
 
     def _tick(self, session: Session, now: float) -> None:
         if command := session.tick(now):
+            if session.name in self.sessions.load.shed:
+                # A stream keeps the newest message, so the error may be lost behind this one.
+                command = structs.replace(command, flags=(*command.flags, "busy"))
             self._send(session, command)
 
     def _for_stream(self, sample: Sample, by: Caller) -> None:
@@ -370,17 +555,14 @@ class Dispatcher:
         """Answer a request at once; repeat the last answer if a session's client repeats itself."""
         if isinstance(request, Named) and request.name is not None:
             return self._by_name(request)
-        if isinstance(request, Status | Stop) and not request.session:
+        if not request.session and isinstance(request, Status | Stop):
             return self._for_all(request)
         session = self.sessions.find(request.session, self._by)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
-        refuse_if(
-            request.seq <= session.seq,
-            f"expected a number above {session.seq}, got {request.seq}",
-            "seq",
-            "stale",
-        )
+        if request.seq <= session.seq:
+            message = f"expected a number above {session.seq}, got {request.seq}"
+            raise RefusedError("stale", message, field="seq")
         session.seq = request.seq
         session.payload = payload
         session.answer = self._attempt(self._act, request, session)
@@ -406,6 +588,7 @@ class Dispatcher:
         """Answer a request about the server, or stop the robots of all sessions."""
         if isinstance(request, Status):
             cache = self.sessions.cache
+            load = self.sessions.load
             return State(
                 seq=request.seq,
                 version=self._version,
@@ -416,6 +599,9 @@ class Dispatcher:
                 missing=cache.missing,
                 two_handed=cache.two_handed,
                 stream_port=self.stream_port,
+                load=_known(load.last.load),
+                samples_per_second=load.last.rate,
+                busy=tuple(sorted(load.shed)),
             )
         self.sessions.audit.note("stop", self._by, **_changes(request))
         for session in list(self.sessions.by_secret.values()):
@@ -436,13 +622,18 @@ class Dispatcher:
         now = self.sessions.clock()
         match request:
             case Step():
+                if self.sessions.load.shed:
+                    self._check_load(request, session, now)
                 command = session.step(request, now)
                 self._metrics.counts["steps"] += 1
-                self._metrics.note_step(self.sessions.clock() - now)
+                took = self.sessions.clock() - now
+                self._metrics.note_step(took)
+                self.sessions.load.note(session.name, self._work.waited, took)
                 self._send(session, command)
                 return command
             case Status():
-                return session.state(request.seq, self._version, self.stream_port, now)
+                state = session.state(request.seq, self._version, self.stream_port, now)
+                return self._with_load(state, session.name)
             case Close():
                 self.sessions.end(session, "closed by its client", self._by)
                 return None
@@ -457,6 +648,23 @@ class Dispatcher:
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return None
+
+    def _with_load(self, state: State, name: str) -> State:
+        """Return the state of a session with what it takes of the server."""
+        load = self.sessions.load
+        busy = (name,) if name in load.shed else ()
+        share = load.last.shares.get(name, 0.0)
+        return structs.replace(state, load=share, busy=busy)
+
+    def _check_load(self, sample: Step, session: Session, now: float) -> None:
+        """Refuse a sample of a session that the server has no time for."""
+        load = self.sessions.load
+        if session.name not in load.shed:
+            return
+        # Joints that are measured are noted all the same, so that the robot does not count as lost.
+        session.measure(sample, now)
+        session.counts["busy"] += 1
+        load.refuse_sample(len(self.sessions.by_secret))
 
     def _change(self, request: Request, session: Session, now: float) -> None:
         """Carry out a request that the audit log keeps."""
@@ -512,7 +720,9 @@ class Dispatcher:
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
         self.sessions.note(session)
-        self.sessions.send(session.name, encode_reply(command))
+        encoded = encode_reply(command)
+        self._published = command, encoded
+        self.sessions.send(session.name, encoded)
 
     def _failure(self, seq: int, error: Exception) -> Error:
         """Return the error to answer with; log an unexpected one."""
@@ -531,6 +741,11 @@ class Dispatcher:
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )
         return error
+
+
+def _known(load: float) -> float | None:
+    """Return a load; None if it is not measured."""
+    return None if math.isnan(load) else load
 
 
 def _changes(request: Request) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
@@ -51,12 +52,18 @@ _COUNTERS = {
     "not_following": "Holds because joints did not follow.",
     "opened": "Sessions opened.",
     "dropped": "Replies lost by slow readers.",
+    "workers_lost": "Worker processes that ended unasked.",
 }
 _GAUGES = {
     "sessions": "Open sessions.",
     "lag_seconds": "Longest delay of the event loop in its last 200 turns, 1 to 4 s [s].",
+    "load": "Share of the last second in which the event loop worked; NaN if not measured.",
+    "samples_per_second": "Samples mapped in the last second [1/s].",
+    "wait_seconds": "Mean time that samples of the last second waited to be mapped [s].",
+    "shed_sessions": "Sessions whose samples are answered busy.",
     "busy_seconds": "Longest CPU time of the process between two of these turns [s].",
-    "resident_bytes": "Resident memory of the process.",
+    "workers": "Worker processes that serve.",
+    "resident_bytes": "Resident memory of the process, and of its workers.",
     "uptime_seconds": "Time since the start [s].",
 }
 
@@ -73,7 +80,15 @@ def report(
 
 
 class JsonLines(logging.Formatter):
-    """Format a record as one JSON object, which also escapes text from clients."""
+    """Format a record as one JSON object, which also escapes text from clients.
+
+    Args:
+        **common: Data of each line.
+    """
+
+    def __init__(self, **common: Any) -> None:
+        super().__init__()
+        self._common = common
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -81,6 +96,7 @@ class JsonLines(logging.Formatter):
             "time": round(record.created, 6),
             "level": record.levelname.lower(),
             "event": record.getMessage(),
+            **self._common,
         } | getattr(record, "data", {})
         if record.exc_info:
             line["error"] = repr(record.exc_info[1])
@@ -89,14 +105,15 @@ class JsonLines(logging.Formatter):
 
 
 @contextmanager
-def logs_on_stderr(level: str) -> Iterator[None]:
+def logs_on_stderr(level: str, **common: Any) -> Iterator[None]:
     """Write the service's logs to stderr as JSON lines, until the context ends.
 
     Args:
         level: Lowest level to log.
+        **common: Data of each line.
     """
     handler = logging.StreamHandler()
-    handler.setFormatter(JsonLines())
+    handler.setFormatter(JsonLines(**common))
     log.addHandler(handler)
     log.propagate = False
     log.setLevel(level.upper())
@@ -182,6 +199,33 @@ class AuditLog:
             report(logging.ERROR, "audit_unwritten", error=error.strerror, entry=entry)
 
 
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Counters of a process.
+
+    Attributes:
+        counts: Counts of what happened.
+        refusals: Counts of refused messages by code.
+        steps: Counts of step times by the buckets of the histogram.
+        step_seconds: Sum of the step times [s].
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    refusals: Counter[str] = field(default_factory=Counter)
+    steps: tuple[int, ...] = (0,) * (len(_BUCKETS) + 1)
+    step_seconds: float = 0.0
+
+    def plus(self, other: "Numbers") -> "Numbers":
+        """Return the sum of the counters of two processes."""
+        pairs = zip(self.steps, other.steps, strict=True)
+        return Numbers(
+            self.counts + other.counts,
+            self.refusals + other.refusals,
+            tuple(one + two for one, two in pairs),
+            self.step_seconds + other.step_seconds,
+        )
+
+
 class Metrics:
     """Counters, gauges and a histogram of step times, in Prometheus' text format.
 
@@ -189,12 +233,14 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
+        others: Returns the counters of other processes, which are added to these; None for none.
     """
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
         self.refusals = Counter[str]()
         self.gauges: dict[str, Callable[[], float]] = {"resident_bytes": resident_bytes}
+        self.others: Callable[[], Numbers] | None = None
         self._registry = CollectorRegistry()
         self._registry.register(self)
         # A histogram of the package takes two locks and eight calls for each sample.
@@ -206,13 +252,21 @@ class Metrics:
         self._steps[bisect_left(_BUCKETS, seconds)] += 1
         self._step_seconds += seconds
 
+    @property
+    def numbers(self) -> Numbers:
+        """The counters, with those of other processes."""
+        steps = tuple(self._steps)
+        own = Numbers(self.counts, self.refusals, steps, self._step_seconds)
+        return own.plus(self.others()) if self.others else own
+
     def collect(self) -> Iterator[Metric]:
         """Yield counters and gauges; the registry asks for them."""
+        numbers = self.numbers
         for name, about in _COUNTERS.items():
-            yield CounterMetricFamily(f"handmap_{name}", about, self.counts[name])
+            yield CounterMetricFamily(f"handmap_{name}", about, numbers.counts[name])
         about = "Messages refused, by code; also failed handshakes."
         refusals = CounterMetricFamily("handmap_refusals", about, labels=["code"])
-        for code, count in sorted(self.refusals.items()):
+        for code, count in sorted(numbers.refusals.items()):
             refusals.add_metric([code], count)
         yield refusals
         for name, gauge in self.gauges.items():
@@ -221,8 +275,8 @@ class Metrics:
         yield HistogramMetricFamily(
             "handmap_step_seconds",
             "Time from a sample to its command [s].",
-            list(zip(edges, accumulate(self._steps), strict=True)),
-            self._step_seconds,
+            list(zip(edges, accumulate(numbers.steps), strict=True)),
+            numbers.step_seconds,
         )
 
     def render(self) -> str:

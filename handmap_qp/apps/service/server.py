@@ -16,11 +16,9 @@ import json
 import resource
 import signal
 import sys
-import time
-from collections import deque
 from collections.abc import Sequence
 from functools import partial
-from logging import ERROR, INFO, WARNING
+from logging import ERROR, INFO
 
 import zmq
 import zmq.asyncio
@@ -34,21 +32,18 @@ from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
 from .dispatch import Dispatcher
 from .keys import ClientKeys, read_server_keys, read_token
+from .load import TimedSelector
 from .logs import AuditLog, Metrics, Throttle, logs_on_stderr, report
 from .opening import HandCache
 from .pages import serve_metrics
+from .pool import WorkerPool
 from .sessions import Caller, Sessions
 from .settings import Settings
 from .store import PostureStore
+from .watchdogs import Watchdogs
 from .websocket import WebSocketTransport
+from .work import in_next_turn
 
-TICK = 0.005
-"""Least time between checks of the watchdogs [s]."""
-_LONGEST = 0.02
-"""Longest time between them, and between checks of the sockets [s]."""
-_TICKS = 200
-_LATE = 0.1
-"""Checks that delays are measured over, and the delay of one that is logged [s]."""
 _BATCH = 128
 """Parts of messages read before other tasks get their turn; a message has two or three."""
 _MOST_PARTS = 3
@@ -89,7 +84,7 @@ class Server:
         InvalidOptionsError: With the setting at fault.
 
     Attributes:
-        dispatcher: Answers messages.
+        backend: Answers messages.
         metrics: Counters.
         ports: The ports in use by name, once started.
     """
@@ -112,8 +107,12 @@ class Server:
         self._closing.callback(self._audit.close)
         # Acquire the file lock last, after everything that can fail.
         store = self._closing.enter_context(PostureStore(settings.state))
-        sessions = Sessions(settings, cache, self.metrics, store, self._audit)
-        self.dispatcher = Dispatcher(sessions)
+        self.backend: Dispatcher | WorkerPool
+        if settings.workers:
+            self.backend = WorkerPool(settings, store, self.metrics, self._audit)
+        else:
+            sessions = Sessions(settings, cache, self.metrics, store, self._audit)
+            self.backend = Dispatcher(sessions)
         self._clients = None
         self._keys = None
         self._tasks = []
@@ -121,10 +120,34 @@ class Server:
         self._is_draining = False
         self._parts: list[zmq.Frame] = []
         self._cost = 0
-        self._lags = deque([0.0], _TICKS)
-        self._loads = deque([0.0], _TICKS)
-        self.metrics.gauges["lag_seconds"] = lambda: max(self._lags)
-        self.metrics.gauges["busy_seconds"] = lambda: max(self._loads)
+        self._watchdogs = Watchdogs(self._tick)
+        self.metrics.gauges["lag_seconds"] = lambda: self.lag
+        self.metrics.gauges["busy_seconds"] = lambda: self.busy
+
+    @property
+    def dispatcher(self) -> Dispatcher:
+        """What answers messages in this process.
+
+        Raises:
+            InvalidOptionsError: If workers answer them.
+        """
+        if isinstance(self.backend, Dispatcher):
+            return self.backend
+        raise InvalidOptionsError(
+            option="workers", expected="0", value=self.settings.workers
+        )
+
+    @property
+    def lag(self) -> float:
+        """Longest delay of an event loop, of this process or a worker [s]."""
+        is_alone = isinstance(self.backend, Dispatcher)
+        return max(self._watchdogs.lag, 0.0 if is_alone else self.backend.lag)
+
+    @property
+    def busy(self) -> float:
+        """Longest CPU time between two turns of an event loop, of any of them [s]."""
+        is_alone = isinstance(self.backend, Dispatcher)
+        return max(self._watchdogs.busy, 0.0 if is_alone else self.backend.busy)
 
     async def start(self) -> None:
         """Listen on all transports.
@@ -167,11 +190,15 @@ class Server:
         self._readers = stream.clients
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
         port = await self._closing.enter_async_context(stream)
-        self.ports["stream"] = self.dispatcher.stream_port = port
-        self.dispatcher.sessions.publish.append(self._publish)
-        self._closing.push_async_callback(self.dispatcher.close)
+        self.ports["stream"] = self.backend.stream_port = port
+        self.backend.publish.append(self._publish)
+        self._closing.push_async_callback(self.backend.close)
+        if isinstance(self.backend, WorkerPool):
+            await self.backend.start()
+        else:
+            self.backend.schedule = in_next_turn
         if settings.web:
-            transport = WebSocketTransport(settings, self._token, self.dispatcher)
+            transport = WebSocketTransport(settings, self._token, self.backend)
             self.ports["web"] = await self._closing.enter_async_context(transport)
         if settings.health_port >= 0:
             with naming("health_port", str(settings.health_port)):
@@ -187,7 +214,9 @@ class Server:
             _report_handshakes(context, socket, self.metrics)
             for socket in (self._router, self._stream)
         ]
-        self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
+        self._tasks = [
+            asyncio.create_task(work) for work in (self._watchdogs.run(), *watches)
+        ]
         self._audit.note("started", "server", ports=self.ports)
         report(
             INFO,
@@ -209,10 +238,12 @@ class Server:
     def health(self) -> Values:
         """Return the result of the health check."""
         is_alive = self._tasks and not any(task.done() for task in self._tasks)
+        if isinstance(self.backend, WorkerPool):
+            is_alive = is_alive and self.backend.is_alive
         return {
             "status": "ok" if is_alive else "stopped",
-            "sessions": len(self.dispatcher.sessions.by_secret),
-            "lag_seconds": max(self._lags),
+            "sessions": len(self.backend.names),
+            "lag_seconds": self.lag,
         }
 
     def _socket(self, context: zmq.Context, kind: int) -> zmq.Socket:
@@ -235,7 +266,7 @@ class Server:
         return socket
 
     def _drain(self) -> None:
-        """Read up to a batch of waiting parts; then samples are mapped, and other tasks run."""
+        """Read up to a batch of waiting parts; then a sample is mapped, and other tasks run."""
         if self._router.closed:
             return
         self._is_draining = True
@@ -269,7 +300,7 @@ class Server:
         try:
             key = keys.name_of(str(parts[-1].get("User-Id"))) if keys else ""
             by = Caller(address, key)
-            self.dispatcher.receive(
+            self.backend.receive(
                 payload, envelope[0], partial(self._reply, envelope), by=by
             )
         except Exception as error:
@@ -290,28 +321,10 @@ class Server:
             with contextlib.suppress(zmq.Again):
                 self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
 
-    async def _tick(self) -> None:
-        """Drive the watchdogs, and measure the delay of the event loop."""
-        spent = time.process_time()
-        late = Throttle()
-        pause = TICK
-        while True:
-            wanted = time.monotonic() + pause
-            await asyncio.sleep(pause)
-            lag = time.monotonic() - wanted
-            before = spent
-            spent = time.process_time()
-            self._lags.append(max(0.0, lag))
-            self._loads.append(spent - before)
-            if lag > _LATE:
-                late.report(WARNING, "late", seconds=round(lag, 4))
-            pause = TICK
-            try:
-                self._drain()
-                # A turn of the event loop takes as long as a third of an answer.
-                pause = min(max(TICK, self.dispatcher.tick()), _LONGEST)
-            except Exception as error:
-                self._bugs.report(ERROR, "failed", failure=error)
+    def _tick(self) -> float:
+        """Read what a lost edge has left unread, and run the watchdogs."""
+        self._drain()
+        return self.backend.tick()
 
 
 async def _report_handshakes(
@@ -348,11 +361,14 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     # Interval after which a thread that loads a hand yields to the one that answers [s].
     sys.setswitchinterval(5e-4)
     _raise_file_limit()
-    with logs_on_stderr(log_level):
-        asyncio.run(_serve(settings))
+    selector = TimedSelector()
+    # `asyncio.run` would make a selector of its own.
+    runner = asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selector))
+    with logs_on_stderr(log_level), runner:
+        runner.run(_serve(settings, selector))
 
 
-async def _serve(settings: Settings) -> None:
+async def _serve(settings: Settings, selector: TimedSelector) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -361,6 +377,9 @@ async def _serve(settings: Settings) -> None:
     # when the server is made.
     importlib.import_module("scipy.spatial")
     server = Server(settings)
+    backend = server.backend
+    load = backend.sessions.load if isinstance(backend, Dispatcher) else backend.load
+    load.waited = lambda: selector.waited
     try:
         await server.start()
         # Exclude the objects that exist now from garbage collection: they stay.
@@ -370,7 +389,10 @@ async def _serve(settings: Settings) -> None:
         hosts = {"host": settings.host} | (
             {"web_host": settings.web_host} if settings.web else {}
         )
-        print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
+        ready: Values = {"ready": True, **hosts, "ports": server.ports}
+        if isinstance(backend, WorkerPool):
+            ready["workers"] = backend.pids
+        print(json.dumps(ready), flush=True)
         await ended.wait()
     finally:
         await server.stop()

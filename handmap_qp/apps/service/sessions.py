@@ -6,7 +6,7 @@ import hmac
 import math
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
 from logging import INFO
@@ -18,6 +18,7 @@ from handmap_core.client.messages import Error, Open
 from handmap_core.errors import RefusedError
 from handmap_qp.hands import Names, Values
 from .fairness import AccountBuckets, FairWorker, has_share, largest_account
+from .load import LoadMeter
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
 from .safety import refuse_if
@@ -34,6 +35,8 @@ _REMEMBERED = 1024
 
 Publish = Callable[[str, bytes], None]
 """Takes a session's name and a message of its stream (msgpack)."""
+Listener = Callable[[Session, bool], None]
+"""Takes a session, and whether it was opened; if not, it has ended."""
 
 
 class Caller(NamedTuple):
@@ -84,6 +87,52 @@ def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> st
     return "busy" if is_attended and (is_rival or not is_owner) else ""
 
 
+def check_share(
+    accounts: Sequence[str], by: Caller, most: int, *, is_return: bool
+) -> None:
+    """Refuse a session beyond the limit of all, or beyond the share of the client.
+
+    Args:
+        accounts: Accounts of all sessions that are open, or being opened.
+        by: The client.
+        most: Number of sessions that may be open.
+        is_return: Whether the client restores a session of its own. Newcomers must leave it room:
+            it may have a half of all sessions, whatever is free.
+
+    Raises:
+        RefusedError: `busy`.
+    """
+    free = most - len(accounts)
+    refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
+    held = accounts.count(by.account)
+    is_within = has_share(held, most - held if is_return else free)
+    refuse_if(
+        not (is_within or by.is_anonymous),
+        f"this client has {held} of {most} sessions: the {free} left are for others",
+        code="busy",
+    )
+
+
+def check_names(name: str | None, kept: Set[str]) -> None:
+    """Refuse a new name to an owner all of whose names are kept.
+
+    So stops, which are never forgotten, are bounded.
+
+    Args:
+        name: The name; None for one that the server makes.
+        kept: Names of the owner that are open, or stopped.
+
+    Raises:
+        RefusedError: `busy`.
+    """
+    refuse_if(
+        name not in kept and len(kept) >= MOST_NAMES,
+        f"all {MOST_NAMES} names of this client are in use or stopped: clear a stop first",
+        "name",
+        "busy",
+    )
+
+
 class _Opening(NamedTuple):
     """A session that is being opened: its name, its client's account, and its owner."""
 
@@ -103,8 +152,10 @@ class Sessions:
         store: Records of former sessions; in memory if omitted.
         audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
-        by_secret: Sessions by their secrets.
+        by_secret: Sessions by their secrets, in the order in which they were opened.
+        load: How much of its time the server works, and whom it serves.
         publish: Callbacks that receive the messages of all streams.
+        listeners: Callbacks that learn of each session that was opened, or has ended.
     """
 
     settings: Settings
@@ -118,6 +169,8 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
+        self.listeners: list[Listener] = []
+        self.load = LoadMeter(self.settings.max_load, lambda: self.clock())
         self._worker = FairWorker()
         self._opens = AccountBuckets(
             self.settings.opens, self.settings.sessions, self.clock
@@ -143,18 +196,14 @@ class Sessions:
                 `denied` if the session is that of another key, which somebody got the secret of.
         """
         if session := self.by_secret.get(secret):
-            is_alien = (
-                session.owner.startswith("key:") and session.account != by.account
-            )
-            refuse_if(is_alien, "belongs to another key", "session", "denied")
+            if session.owner.startswith("key:") and session.account != by.account:
+                message = "belongs to another key"
+                raise RefusedError("denied", message, field="session")
             session.last_request = self.clock()
             return session
-        refuse_if(
-            secret in self._taken,
-            "another client took this session over",
-            "session",
-            "taken",
-        )
+        if secret in self._taken:
+            message = "another client took this session over"
+            raise RefusedError("taken", message, field="session")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -163,7 +212,7 @@ class Sessions:
         Raises:
             RefusedError: If there is none.
         """
-        if not (session := self._find_named(name)):
+        if not (session := self.find_named(name)):
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
@@ -188,7 +237,7 @@ class Sessions:
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
-            running = self._find_named(name)
+            running = self.find_named(name)
             former = None
             if request.restore:
                 if running:
@@ -222,6 +271,7 @@ class Sessions:
             self.end(running, "a client restored this session", by, "taken")
         self._last_heard.pop(name, None)
         self.by_secret[request.session] = session
+        self._tell(session, is_open=True)
         self.note(session)
         self.metrics.counts["opened"] += 1
         event: Values = {
@@ -264,6 +314,7 @@ class Sessions:
         self.send(
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
+        self._tell(session, is_open=False)
         event: Values = {"session": session.name, "reason": reason}
         self.audit.note("closed", by, **event)
         report(INFO, "closed", **event, counts=session.counts)
@@ -272,6 +323,15 @@ class Sessions:
         """Publish a message in the stream of a session."""
         for publish in self.publish:
             publish(name, payload)
+
+    def hear(self, name: str, time: float) -> None:
+        """Note when the owner of a name was heard, who is on its way back [s]."""
+        self._last_heard[name] = time
+
+    def _tell(self, session: Session, *, is_open: bool) -> None:
+        """Tell the listeners that a session was opened, or has ended."""
+        for listener in self.listeners:
+            listener(session, is_open)
 
     def close(self) -> None:
         """Close all sessions."""
@@ -295,7 +355,7 @@ class Sessions:
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
-        running = self._find_named(name)
+        running = self.find_named(name)
         self._check_secret(request, running)
         refuse_if(
             request.time_from == "client" and not self.settings.simulated_time,
@@ -325,7 +385,8 @@ class Sessions:
             "name",
         )
         is_return = request.restore and self._is_owner(request, by)
-        self._check_room(by, running if request.restore else None, is_return=is_return)
+        replaced = running if request.restore else None
+        self._check_room(by, request.robot, replaced, is_return=is_return)
         self._check_names(name, by.owner(request.session))
         refuse_if(
             not is_return and not self._opens.take(by.account),
@@ -350,47 +411,40 @@ class Sessions:
             "session",
         )
 
+    def _check_load(self, robot: str) -> None:
+        """Refuse a session that the server has no time for."""
+        running = self.by_secret.values()
+        waiting = sum(each.mode == "waiting" for each in running) + len(self._opening)
+        # A name of a family is that of no robot; all sessions count then.
+        alike = [each.name for each in running if each.robot.name == robot]
+        self.load.check_room(len(running), waiting, alike)
+
     def _check_room(
-        self, by: Caller, replaced: Session | None, *, is_return: bool
+        self, by: Caller, robot: str, replaced: Session | None, *, is_return: bool
     ) -> None:
         """Refuse a session beyond the limit of all, or beyond the share of the client.
 
         Args:
             by: The client.
+            robot: Name of the robot that it wants.
             replaced: The running session that this one takes the place of.
-            is_return: Whether the client restores a session of its own. Newcomers must leave it
-                room: it may have a half of all sessions, whatever is free.
+            is_return: Whether the client restores a session of its own.
         """
         accounts = [each.account for each in self.by_secret.values()]
         accounts += [each.account for each in self._opening.values()]
         if replaced:
             accounts.remove(replaced.account)
-        most = self.settings.sessions
-        free = most - len(accounts)
-        refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
-        held = accounts.count(by.account)
-        is_within = has_share(held, most - held if is_return else free)
-        refuse_if(
-            not (is_within or by.is_anonymous),
-            f"this client has {held} of {most} sessions: the {free} left are for others",
-            code="busy",
-        )
+        check_share(accounts, by, self.settings.sessions, is_return=is_return)
+        if not (replaced or is_return):
+            self._check_load(robot)
 
     def _check_names(self, name: str | None, owner: str) -> None:
-        """Refuse a new name to an owner all of whose names are kept: open, or stopped.
-
-        So stops, which are never forgotten, are bounded.
-        """
+        """Refuse a new name to an owner all of whose names are kept: open, or stopped."""
         account = names_account(owner)
         in_use = *self._opening.values(), *self.by_secret.values()
         kept = self.store.stopped(account)
         kept |= {each.name for each in in_use if names_account(each.owner) == account}
-        refuse_if(
-            name not in kept and len(kept) >= MOST_NAMES,
-            f"all {MOST_NAMES} names of this client are in use or stopped: clear a stop first",
-            "name",
-            "busy",
-        )
+        check_names(name, kept)
 
     def _is_owner(self, request: Open, by: Caller) -> bool:
         """Return whether the named session, or its record, is the client's own."""
@@ -399,9 +453,9 @@ class Sessions:
 
     def _held(self, name: str | None) -> Session | Record | None:
         """Return the open session of a name, or else its record."""
-        return self._find_named(name) or self.store.records.get(name or "")
+        return self.find_named(name) or self.store.records.get(name or "")
 
-    def _find_named(self, name: str | None) -> Session | None:
+    def find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
         return next(
             (each for each in self.by_secret.values() if each.name == name), None
@@ -410,7 +464,7 @@ class Sessions:
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
         name = request.name or ""
-        running = self._find_named(name)
+        running = self.find_named(name)
         held = self._held(name)
         if not held:
             return

@@ -9,6 +9,8 @@ from tyro.conf import Suppress
 from handmap_core.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.apps.addresses import bare_host, check_port, is_loopback
 
+MOST_WORKERS = 64
+"""Largest number of worker processes."""
 MOST_SESSIONS = 128
 """Largest number of open sessions; the store keeps at least as many postures of each owner."""
 
@@ -43,9 +45,14 @@ class Settings:
             releases, changes, stops or closes, with the client's name and address.
         hand: Further robot hands that clients may open, and robots with two: paths of hand.yaml and
             robot.yaml files.
+        workers: Processes that map, behind the one address; each session is in one. 0 maps in the
+            process that serves, which is the quickest for a few sessions.
         sessions: Open sessions, at most 128. A client with a key, or over WebSocket, may open
             another one while more are free than it has.
         rate: Messages per second from one connection.
+        max_load: Share of its time that the server may work before it refuses further sessions as
+            `busy`. If samples wait too long all the same, it answers those of the sessions opened
+            last `busy`, and their robots hold. 1 does neither.
         idle: Time without a request after which a session is closed [s].
         simulated_time: Let sessions use their clients' time stamps for speed limits; not for real
             robots.
@@ -73,8 +80,10 @@ class Settings:
     state: Path | None = None
     audit: Path | None = None
     hand: tuple[Path, ...] = ()
+    workers: int = 0
     sessions: int = 64
     rate: float = 2000.0
+    max_load: float = 0.9
     idle: float = 60.0
     simulated_time: bool = False
     opens: Annotated[float, Suppress] = 20.0
@@ -98,6 +107,11 @@ class Settings:
             raise InvalidOptionsError(
                 option="sessions", expected=expected, value=self.sessions
             )
+        if not 0 <= self.workers <= MOST_WORKERS:
+            expected = f"0 to {MOST_WORKERS}"
+            raise InvalidOptionsError(
+                option="workers", expected=expected, value=self.workers
+            )
         for name in ("rate", "opens", "configures", "message_size", "idle"):
             value = getattr(self, name)
             # `not a > b` also rejects NaN.
@@ -105,6 +119,10 @@ class Settings:
                 raise InvalidOptionsError(
                     option=name, expected="a number > 0", value=value
                 )
+        if not 0.0 < self.max_load <= 1.0:
+            raise InvalidOptionsError(
+                option="max_load", expected="above 0, up to 1", value=self.max_load
+            )
         if not is_loopback(host) and self.keys is None:
             raise _exposed("host", host, "keys (handmap keys FOLDER makes them)")
         self._check_web(web_host)

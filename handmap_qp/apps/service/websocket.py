@@ -31,7 +31,7 @@ from websockets.typing import Subprotocol
 
 from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.refusals import naming
-from .dispatch import NO_VALUE, Dispatcher
+from .dispatch import NO_VALUE, Backend
 from .fairness import crowded_accounts
 from .logs import report, websocket_log
 from .pages import page_response
@@ -63,12 +63,12 @@ class WebSocketTransport:
     Attributes:
         settings: Address and access rules.
         token: Token that clients must present; None for none.
-        dispatcher: Answers messages.
+        backend: Answers messages.
     """
 
     settings: Settings
     token: str | None
-    dispatcher: Dispatcher
+    backend: Backend
 
     async def __aenter__(self) -> int:
         self._connections = set[_Connection]()
@@ -95,11 +95,11 @@ class WebSocketTransport:
                 open_timeout=5.0,
                 close_timeout=0.5 * _CLOSE_TIMEOUT,
             )
-        self.dispatcher.sessions.publish.append(self._publish)
+        self.backend.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
 
     async def __aexit__(self, *_: object) -> None:
-        self.dispatcher.sessions.publish.remove(self._publish)
+        self.backend.publish.remove(self._publish)
         self._server.close()
         # Handshakes under way would hold it up for their own timeout.
         with contextlib.suppress(TimeoutError):
@@ -168,7 +168,7 @@ class WebSocketTransport:
                 if isinstance(message, str):
                     form = _as_json
                     message = _from_json(message)
-                is_taken = self.dispatcher.receive(
+                is_taken = self.backend.receive(
                     message,
                     ("web", connection.id),
                     partial(connection.answer, form),
@@ -183,7 +183,7 @@ class WebSocketTransport:
     def _subscribe(self, connection: "_Connection", form: "_Form", name: str) -> None:
         if len(connection.streams) >= MOST_SESSIONS:
             # Forget ended sessions: they could return under their names, but there is no end.
-            for ended in connection.streams.keys() - {*self.dispatcher.sessions.names}:
+            for ended in connection.streams.keys() - {*self.backend.names}:
                 del connection.streams[ended]
         connection.streams[name] = form
 
