@@ -43,7 +43,7 @@ from .base import (
     time_in,
 )
 from .disk_columns import DiskColumn, write_npz
-from .long import PIECE, LongRecording, overview_of
+from .long import PIECE, LongRecording
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
@@ -151,7 +151,8 @@ class NpzFormat(RecordingFormat):
             return None
         if self.hints.fps is not None:
             fields["time_source"] = f"{self.hints.fps:g} samples/s, as given"
-        return _open_long(_LongArchive(path, entry, fields, members))
+        archive = _LongArchive(path, entry, fields, members)
+        return LongRecording.opened(archive.parts, archive.count)
 
     def _fields(
         self, path: Path, entry: Entry, others: set[str]
@@ -491,12 +492,6 @@ def _with_unknown(part: Recording, columns: Container[str]) -> Recording:
             shape = (len(part),) if name == "confidence" else (len(part), 4, 4)
             lost[name] = np.full(shape, np.nan)
     return replace(part, **lost)
-
-
-def _open_long(archive: _LongArchive) -> LongRecording:
-    """Read a hand of an archive for the first time, and return what reads it again."""
-    overview = overview_of(archive.parts(), archive.count)
-    return LongRecording(overview, archive.count, archive.parts)
 
 
 def save_npz(
