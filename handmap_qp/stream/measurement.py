@@ -67,7 +67,10 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     if len(recordings) == 1:
         return recordings[0]
     # Objects do not count, and those of some shapes have no mirror image.
-    alone = [replace(each, object_shape="") for each in recordings]
+    alone = [
+        replace(each, object_shape="") if each.object_shape else each
+        for each in recordings
+    ]
     right = [each if each.side == "right" else mirrored(each) for each in alone]
     steps, landmarks, valid = (
         np.concatenate([getattr(each, name) for each in right])

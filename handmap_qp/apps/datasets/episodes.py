@@ -41,7 +41,6 @@ from handmap_qp.trackers import (
     LongRecording,
     all_long,
     array_shapes,
-    blocks_of,
     check_recording,
     hints,
     in_memory,
@@ -186,7 +185,7 @@ def _map_long(
     with map_long(
         long, robot, person, job.options.arguments, file, argument="--out"
     ) as motion:
-        blocks = blocks_of(len(motion))
+        blocks = max(long, key=len).blocks
         trajectory = motion.trajectory(*blocks)
         columns = motion.columns | {"side": np.array(job.line.side)}
         if job.line.side == BOTH:

@@ -33,7 +33,6 @@ from handmap_qp.trackers import (
     SIDES,
     LongRecording,
     all_long,
-    blocks_of,
     in_memory,
     save_npz,
 )
@@ -211,7 +210,7 @@ class Retarget:
                 )
             with progress("writing"):
                 save_npz(out, motion.all_columns)
-            blocks = blocks_of(len(motion))
+            blocks = max(used, key=len).blocks
             trajectory = motion.trajectory(*blocks)
             _warn_of_objects(trajectory, overviews)
             followed = motion.followed.blocks(blocks)

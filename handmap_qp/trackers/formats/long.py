@@ -27,7 +27,7 @@ class LongRecording:
     """A recording that does not have to fit into the memory.
 
     Attributes:
-        overview: All samples, if they are at most `OVERVIEW`. Otherwise those of `blocks_of`, the
+        overview: All samples, if they are at most `OVERVIEW`. Otherwise those of `blocks`, the
             last one of each block not valid, so that nothing goes on from one to the next.
         count: Number of samples.
         parts: Reads the file from the start, and yields its samples in parts of some `PIECE`.
@@ -92,7 +92,8 @@ def all_long(
 ) -> list[LongRecording] | None:
     """Return the recordings of both hands of a person to be read by pieces; None if none is long.
 
-    Their overviews show the same spans of time: those of the one that has most samples.
+    If both have more than `OVERVIEW` samples together, their overviews show the same spans of time:
+    blocks of the one that has most samples.
     """
     if not any(isinstance(each, LongRecording) for each in recordings):
         return None
@@ -100,15 +101,16 @@ def all_long(
         each if isinstance(each, LongRecording) else _pieced(each)
         for each in recordings
     ]
-    leading = max(found, key=len)
-    if len(leading) <= OVERVIEW:
+    if len(found) == 1 or sum(map(len, found)) <= OVERVIEW:
         return found
+    index = max(range(len(found)), key=lambda i: len(found[i]))
+    leading = _with_blocks(found[index], _spread(len(found[index])))
     time = leading.overview.time
-    ends = np.cumsum([block.stop - block.start for block in blocks_of(len(leading))])
+    ends = np.cumsum([block.stop - block.start for block in leading.blocks])
     firsts = time[np.append(0, ends[:-1])]
     return [
-        each if each is leading else _within(each, firsts, time[ends - 1])
-        for each in found
+        leading if i == index else _within(each, firsts, time[ends - 1])
+        for i, each in enumerate(found)
     ]
 
 
@@ -116,8 +118,8 @@ def _pieced(recording: Recording) -> LongRecording:
     """Return a recording that is in the memory, to be read by pieces as a long one is."""
 
     def parts() -> Iterator[Recording]:
-        for start in range(0, len(recording), PIECE):
-            yield part_of(recording, slice(start, start + PIECE))
+        for samples in pieces_of(len(recording)):
+            yield part_of(recording, samples)
 
     count = len(recording)
     return LongRecording(recording, count, parts, [slice(0, count)])
@@ -140,8 +142,19 @@ def _within(recording: LongRecording, firsts: Array, lasts: Array) -> LongRecord
         if start < stop
     ]
     expect(blocks, "hands", "recordings of both at the same time", got="others")
+    return _with_blocks(recording, blocks)
+
+
+def _with_blocks(recording: LongRecording, blocks: Sequence[slice]) -> LongRecording:
+    """Return a recording whose overview has some blocks of samples."""
     overview = overview_of(recording.parts(), blocks)
     return replace(recording, overview=overview, blocks=blocks)
+
+
+def pieces_of(count: int) -> Iterator[slice]:
+    """Yield which samples each piece of so many has."""
+    for start in range(0, count, PIECE):
+        yield slice(start, min(start + PIECE, count))
 
 
 def part_of(recording: Recording, samples: slice) -> Recording:
@@ -158,6 +171,11 @@ def blocks_of(count: int) -> list[slice]:
     """Return which samples an overview of so many has: all, or blocks that are evenly spread."""
     if count <= OVERVIEW:
         return [slice(0, count)]
+    return _spread(count)
+
+
+def _spread(count: int) -> list[slice]:
+    """Return blocks that are evenly spread over so many samples."""
     starts = np.linspace(0, count - _BLOCK, _BLOCKS).astype(int).tolist()
     return [slice(start, start + _BLOCK) for start in starts]
 
