@@ -186,9 +186,8 @@ def test_the_commands_write_the_same_files(
 def test_overviews_of_hours_show_the_same_spans_of_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 200)
-    monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
-    # As many as an overview has, but not both together.
+    monkeypatch.setattr(f"{FORMATS}.long._BLOCK_OF_BOTH", 10)
+    # More than 240 samples together.
     left = hand("left", 133, 21.0, 5.0)
     right = hand("right", 190, 30.0, 5.0)
     long = opened([left, right], tmp_path)
@@ -226,6 +225,7 @@ def test_memory_does_not_grow_with_the_recordings(
 ) -> None:
     monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 150)
     monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 12)
+    monkeypatch.setattr(f"{FORMATS}.long._BLOCK_OF_BOTH", 6)
     monkeypatch.setattr(f"{FORMATS}.disk_columns._AT_ONCE", 1 << 14)
     person = measure_person(hand("right", 300, 30.0, 5.0))
     robot = load_whole(ROBOT)

@@ -20,6 +20,8 @@ OVERVIEW = 108_000
 """Most samples of a recording whose overview has all of them: an hour at 30 Hz."""
 _BLOCKS, _BLOCK = 12, 4500
 """Blocks that the overview of a longer recording has, and samples of each: 2.5 min at 30 Hz."""
+_BLOCK_OF_BOTH = 4000
+"""Samples of each block of both hands of a person, who are measured together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +94,8 @@ def all_long(
 ) -> list[LongRecording] | None:
     """Return the recordings of both hands of a person to be read by pieces; None if none is long.
 
-    If both have more than `OVERVIEW` samples together, their overviews show the same spans of time:
-    blocks of the one that has most samples.
+    If both have more samples together than blocks of `_BLOCK_OF_BOTH`, their overviews show the
+    same spans of time: blocks of the one that has most samples.
     """
     if not any(isinstance(each, LongRecording) for each in recordings):
         return None
@@ -101,10 +103,12 @@ def all_long(
         each if isinstance(each, LongRecording) else _pieced(each)
         for each in recordings
     ]
-    if len(found) == 1 or sum(map(len, found)) <= OVERVIEW:
+    most = len(found) * _BLOCKS * _BLOCK_OF_BOTH
+    if len(found) == 1 or sum(map(len, found)) <= most:
         return found
     index = max(range(len(found)), key=lambda i: len(found[i]))
-    leading = _with_blocks(found[index], _spread(len(found[index])))
+    blocks = _spread(len(found[index]), _BLOCK_OF_BOTH)
+    leading = _with_blocks(found[index], blocks)
     time = leading.overview.time
     ends = np.cumsum([block.stop - block.start for block in leading.blocks])
     firsts = time[np.append(0, ends[:-1])]
@@ -171,13 +175,13 @@ def blocks_of(count: int) -> list[slice]:
     """Return which samples an overview of so many has: all, or blocks that are evenly spread."""
     if count <= OVERVIEW:
         return [slice(0, count)]
-    return _spread(count)
+    return _spread(count, _BLOCK)
 
 
-def _spread(count: int) -> list[slice]:
-    """Return blocks that are evenly spread over so many samples."""
-    starts = np.linspace(0, count - _BLOCK, _BLOCKS).astype(int).tolist()
-    return [slice(start, start + _BLOCK) for start in starts]
+def _spread(count: int, block: int) -> list[slice]:
+    """Return blocks of a number of samples that are evenly spread over so many."""
+    starts = np.linspace(0, count - block, _BLOCKS).astype(int).tolist()
+    return [slice(start, start + block) for start in starts]
 
 
 def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recording:
@@ -220,7 +224,7 @@ def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recordin
         expect(
             columns["valid"].any(),
             "valid",
-            f"a hand in one of {len(blocks)} blocks of {_BLOCK} samples, spread evenly",
+            f"a hand in one of {len(blocks)} blocks of samples, spread evenly",
             got="none",
         )
     words = {
