@@ -3,6 +3,8 @@
     python benchmarks long_recordings --hours 0.167 1
     python benchmarks long_recordings --hours 24 --command retarget
     python benchmarks long_recordings --hours 1 --command retarget --robot g1
+    python benchmarks long_recordings --hours 1 --form csv
+    python benchmarks long_recordings --hours 1 --command batch --look-ahead
 
 Each command runs in a process of its own, which prints its peak resident memory (VmHWM of the
 kernel: code, libraries and all arrays). `above` is what that is over the same command on a
@@ -18,7 +20,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +29,11 @@ from numpy.lib import format as npy
 
 from handmap_core.se3 import Array
 from handmap_qp import read_recording
-from handmap_qp.trackers import SIDES
+from handmap_qp.trackers import FORMATS, SIDES, read_hands
 
 FPS = 30
+_SUFFIXES = {"npz": ".npz", "csv": ".csv", "robomimic": ".hdf5", "egodex": ".hdf5"}
+"""Suffixes of files by their forms."""
 _RUN = """
 import sys
 from pathlib import Path
@@ -55,6 +59,12 @@ def main() -> None:
         help="a family of hands, one of which follows, or a robot with both "
         "(default: %(default)s)",
     )
+    parser.add_argument(
+        "--form", choices=_SUFFIXES, default="npz", help="form of the files"
+    )
+    parser.add_argument(
+        "--look-ahead", action="store_true", help="of `handmap batch` alone"
+    )
     parser.add_argument("--folder", type=Path, help="where the files are made")
     given = parser.parse_args()
     rows = []
@@ -66,11 +76,15 @@ def main() -> None:
                 frames = round(3600 * FPS * hours)
                 file = folder / "hours.npz"
                 make_hours(file, frames)
-                peak, seconds = _peak(command, file, folder / f"{hours:g}", given.robot)
+                file = _converted(file, given.form)
+                words = ["--look-ahead"] if given.look_ahead else []
+                out = folder / f"{hours:g}"
+                peak, seconds = _peak(command, file, out, given.robot, words)
                 rows.append(
                     {
                         "command": command,
                         "robot": given.robot,
+                        "form": given.form,
                         "hours": hours,
                         "frames": frames,
                         "file [MB]": file.stat().st_size / 1e6,
@@ -114,8 +128,18 @@ def _repeated(rows: Array, count: int) -> Iterator[Array]:
         yield rows[: count - start]
 
 
+def _converted(file: Path, form: str) -> Path:
+    """Return a file of both hands in another form."""
+    if form == "npz":
+        return file
+    hands = [*read_hands([file]).values()]
+    converted = file.with_suffix(_SUFFIXES[form])
+    FORMATS[form].write(hands, converted)
+    return converted
+
+
 def _peak(
-    command: str, file: Path | None, out: Path, robot: str
+    command: str, file: Path | None, out: Path, robot: str, words: Sequence[str] = ()
 ) -> tuple[float, float]:
     """Run a command; return its peak resident memory [MB] and its time [s].
 
@@ -124,8 +148,9 @@ def _peak(
         file: The recording; one of 4 s if omitted.
         out: What to write; `retarget` adds a suffix.
         robot: The robot.
+        words: Further options.
     """
-    words = {
+    usual = {
         "retarget": ["--robot", robot, "--out", f"{out}.out.npz"],
         "batch": ["--robot", robot, "--out", str(out), "--workers", "0"],
     }
@@ -134,7 +159,7 @@ def _peak(
         make_hours(file, 120)
     started = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", _RUN, command, str(file), *words[command]],
+        [sys.executable, "-c", _RUN, command, str(file), *usual[command], *words],
         capture_output=True,
         text=True,
         check=False,

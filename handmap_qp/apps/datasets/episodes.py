@@ -134,6 +134,8 @@ def _run(job: Job) -> Values:
     }
     if long:
         if options.look_ahead:
+            # Free the overviews of the samples as they were before those of the smooth ones.
+            del found, recordings
             long = [each.filtered(look_ahead_parts) for each in long]
         return results | _map_long(job, long, robot, person)
     if options.look_ahead:
