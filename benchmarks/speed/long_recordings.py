@@ -2,11 +2,14 @@
 
     python benchmarks long_recordings --hours 0.167 1
     python benchmarks long_recordings --hours 24 --command retarget
+    python benchmarks long_recordings --hours 1 --command retarget --robot g1
+    python benchmarks long_recordings --hours 1 --form csv
+    python benchmarks long_recordings --hours 1 --command batch --look-ahead
 
 Each command runs in a process of its own, which prints its peak resident memory (VmHWM of the
-kernel: code, libraries and all arrays). `above` is what that is over the same command on the
-recording of 4 s that comes with the package. The recordings are made of that one, played to and
-fro, by pieces, at 30 Hz in double precision.
+kernel: code, libraries and all arrays). `above` is what that is over the same command on a
+recording of 4 s. The recordings are made of the one that comes with the package, played to and fro,
+by pieces, at 30 Hz in double precision.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +29,11 @@ from numpy.lib import format as npy
 
 from handmap_core.se3 import Array
 from handmap_qp import read_recording
-from handmap_qp.trackers import SIDES
+from handmap_qp.trackers import FORMATS, SIDES, read_hands
 
 FPS = 30
+_SUFFIXES = {"npz": ".npz", "csv": ".csv", "robomimic": ".hdf5", "egodex": ".hdf5"}
+"""Suffixes of files by their forms."""
 _RUN = """
 import sys
 from pathlib import Path
@@ -48,21 +53,38 @@ def main() -> None:
     parser.add_argument(
         "--command", choices=("retarget", "batch"), nargs="+", default=["retarget"]
     )
+    parser.add_argument(
+        "--robot",
+        default="allegro",
+        help="a family of hands, one of which follows, or a robot with both "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--form", choices=_SUFFIXES, default="npz", help="form of the files"
+    )
+    parser.add_argument(
+        "--look-ahead", action="store_true", help="of `handmap batch` alone"
+    )
     parser.add_argument("--folder", type=Path, help="where the files are made")
     given = parser.parse_args()
     rows = []
     with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
         folder = Path(temporary)
         for command in given.command:
-            least, _ = _peak(command, Path("demo"), folder / "demo")
+            least, _ = _peak(command, None, folder / "demo", given.robot)
             for hours in given.hours:
                 frames = round(3600 * FPS * hours)
                 file = folder / "hours.npz"
                 make_hours(file, frames)
-                peak, seconds = _peak(command, file, folder / f"{hours:g}")
+                file = _converted(file, given.form)
+                words = ["--look-ahead"] if given.look_ahead else []
+                out = folder / f"{hours:g}"
+                peak, seconds = _peak(command, file, out, given.robot, words)
                 rows.append(
                     {
                         "command": command,
+                        "robot": given.robot,
+                        "form": given.form,
                         "hours": hours,
                         "frames": frames,
                         "file [MB]": file.stat().st_size / 1e6,
@@ -106,18 +128,38 @@ def _repeated(rows: Array, count: int) -> Iterator[Array]:
         yield rows[: count - start]
 
 
-def _peak(command: str, file: Path, out: Path) -> tuple[float, float]:
-    """Run a command on a file; return its peak resident memory [MB] and its time [s]."""
-    words = {
-        "retarget": ["--robot", "allegro_right", "--out", f"{out}.npz"],
-        "batch": ["--robot", "allegro", "--out", str(out), "--workers", "0"],
+def _converted(file: Path, form: str) -> Path:
+    """Return a file of both hands in another form."""
+    if form == "npz":
+        return file
+    hands = [*read_hands([file]).values()]
+    converted = file.with_suffix(_SUFFIXES[form])
+    FORMATS[form].write(hands, converted)
+    return converted
+
+
+def _peak(
+    command: str, file: Path | None, out: Path, robot: str, words: Sequence[str] = ()
+) -> tuple[float, float]:
+    """Run a command; return its peak resident memory [MB] and its time [s].
+
+    Args:
+        command: `retarget` or `batch`.
+        file: The recording; one of 4 s if omitted.
+        out: What to write; `retarget` adds a suffix.
+        robot: The robot.
+        words: Further options.
+    """
+    usual = {
+        "retarget": ["--robot", robot, "--out", f"{out}.out.npz"],
+        "batch": ["--robot", robot, "--out", str(out), "--workers", "0"],
     }
-    if command == "batch" and str(file) == "demo":
+    if file is None:
         file = out.with_suffix(".npz")
         make_hours(file, 120)
     started = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", _RUN, command, str(file), *words[command]],
+        [sys.executable, "-c", _RUN, command, str(file), *usual[command], *words],
         capture_output=True,
         text=True,
         check=False,

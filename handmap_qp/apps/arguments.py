@@ -44,11 +44,12 @@ from handmap_qp.trackers import (
     LongRecording,
     Source,
     check_recording,
-    find_hands,
     find_source,
+    in_memory,
     layout_hint,
     load_layout,
     read_hands,
+    read_long_hands,
     read_with_layout,
 )
 
@@ -142,7 +143,7 @@ class InputArguments:
             return self._with_layout(self.layout, path, person)
         with _hinting_layout(path):
             found = self._source(path, wanted).read_long()
-        self._checked(_in_memory(found), path)
+        self._checked(in_memory(found), path)
         return found
 
     def _with_layout(self, name: str, path: Path, person: Path | None) -> Recording:
@@ -211,12 +212,9 @@ class InputArguments:
         if self.layout is not None:
             return {**self.read_both(paths, person, mirror=mirror)}
         self._expect_both(mirror=mirror)
-        hands = {
-            side: source.read_long()
-            for side, source in find_hands(paths, fps=self.fps).items()
-        }
+        hands = read_long_hands(paths, fps=self.fps)
         for found in hands.values():
-            check_recording(_in_memory(found))
+            check_recording(in_memory(found))
         return hands
 
     def _expect_both(self, *, mirror: bool) -> None:
@@ -235,13 +233,6 @@ def _hinting_layout(path: Path) -> Iterator[None]:
         if hint := layout_hint(path):
             error.problem += f"; {hint}"
         raise
-
-
-def _in_memory(recording: Recording | LongRecording) -> Recording:
-    """Return the samples of a recording that are in the memory."""
-    if isinstance(recording, LongRecording):
-        return recording.overview
-    return recording
 
 
 def person_of(recordings: Sequence[Recording], file: Path | None) -> Person:
@@ -434,22 +425,25 @@ def read_robot(
 
 def read_long_robot(
     name: str, files: Sequence[Path], command: Any
-) -> tuple[Hand, list[Recording] | LongRecording]:
-    """Read a robot as `read_robot`, and open a long recording for one hand to read it by pieces.
+) -> tuple[Hand, Sequence[Recording | LongRecording]]:
+    """Read a robot as `read_robot`, and open long recordings to read them by pieces.
 
     Raises:
         HandmapError: As `read_robot`.
     """
     robot = _load_robot(name, files, command)
-    if robot.parts:
-        return read_robot(name, files, command)
+    if _takes_both(robot, files):
+        both = command.inputs.read_both_long(
+            files, command.person, mirror=command.mirror
+        )
+        return robot, [both[side] for side in robot.by_side]
     found = command.inputs.read_long(files[0], robot.side, command.person)
 
     def fit(recording: Recording) -> Recording:
         return fit_side(recording, robot, mirror=command.mirror)
 
     if isinstance(found, LongRecording):
-        return robot, found.changed(fit)
+        return robot, [found.changed(fit)]
     return robot, [fit(found)]
 
 

@@ -41,7 +41,13 @@ from .contact_gap import (
     tip_gaps,
 )
 from .fit import HumanMotion, LandmarkFitter, fit_recording
-from .measure import by_parts, check_length, measure_hand, scaled_human
+from .measure import (
+    by_parts,
+    check_length,
+    measure_hand,
+    measure_right_hand,
+    scaled_human,
+)
 from .person import Person, read_person, write_person
 from .postures import standard_postures
 
@@ -79,6 +85,7 @@ __all__ = [
     "landmarks_at_rest",
     "measure_contact_gap",
     "measure_hand",
+    "measure_right_hand",
     "mirrored",
     "palm_fit_weights",
     "palm_sizes",

@@ -81,9 +81,21 @@ def measure_hand(recording: Recording) -> HumanLengths:
         isinstance(recording, Recording), "recording", "a Recording", value=recording
     )
     landmarks = recording.landmarks[recording.valid]
-    segments = check_length(landmarks)
     if recording.side == "left":
-        landmarks = landmarks * (-1.0, 1.0, 1.0)
+        landmarks *= (-1.0, 1.0, 1.0)
+    return measure_right_hand(landmarks)
+
+
+def measure_right_hand(landmarks: Array) -> HumanLengths:
+    """Measure a person's right hand as `measure_hand`.
+
+    Args:
+        landmarks: Samples in which it was seen [m], shape (T, 21, 3).
+
+    Raises:
+        InvalidInputError: If the landmarks are not a plausible hand in metres.
+    """
+    segments = check_length(landmarks)
     bases, rolls, little_weight = measure_shape(landmarks, _standard_palm())
     palm_weights = np.append(np.ones(4), little_weight)
     return HumanLengths(bases, segments, rolls, palm_weights=palm_weights)

@@ -40,13 +40,25 @@ def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> Array | N
     Returns:
         The minimiser, shape (n,); None if the solver fails.
     """
+    return answer_in(solve_exactly(problem, solver), solver)
+
+
+def solve_exactly(problem: qpsolvers.Problem, solver: str) -> qpsolvers.Solution:
+    """Solve at a high accuracy; return all that `qpsolvers` says, with the times that it took.
+
+    Args:
+        problem: The QP.
+        solver: Name in `qpsolvers.available_solvers`.
+    """
     with warnings.catch_warnings():
         # Some solvers want sparse matrices, and say so. OSQP calls its answers inaccurate where it
         # has used up its iterations; the box holds all the same, by clipping.
         warnings.simplefilter("ignore")
-        solution = qpsolvers.solve_problem(
-            problem, solver=solver, **_EXACT.get(solver, {})
-        )
+        return qpsolvers.solve_problem(problem, solver=solver, **_EXACT.get(solver, {}))
+
+
+def answer_in(solution: qpsolvers.Solution, solver: str) -> Array | None:
+    """Return the minimiser that a solver has found, shape (n,); None if it failed."""
     # What OSQP has after all its iterations is nearly right. ProxQP calls one in a hundred problems
     # with rows infeasible that are not, with an answer that is up to 0.3 rad off.
     return solution.x if solution.found or solver == "osqp" else None

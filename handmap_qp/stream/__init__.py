@@ -10,7 +10,7 @@ from .grip import GripFollower, RobotGripFollower, gripping
 from .guard import BEHIND, StreamGuard
 from .held_object import ObjectFollower, ObjectOptions, follow_recording
 from .measurement import measure_person
-from .robot_follower import RobotFollower, paired
+from .robot_follower import RobotFollower, paired, paired_parts
 
 __all__ = [
     "BEHIND",
@@ -35,4 +35,5 @@ __all__ = [
     "has_grasp",
     "measure_person",
     "paired",
+    "paired_parts",
 ]

@@ -6,14 +6,19 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_core.errors import expect
+from handmap_core.se3 import Array
 from handmap_qp.hands import HumanLengths
 from handmap_qp.human import (
+    LANDMARK_COUNT,
     Person,
     Recording,
+    clipped_gap,
     measure_contact_gap,
     measure_hand,
+    measure_right_hand,
     mirrored,
     scaled_human,
+    smallest_gap,
 )
 from .guard import StreamGuard
 
@@ -34,43 +39,58 @@ def measure_person(*recordings: Recording) -> Person:
     """
     expect(recordings, "recordings", "at least one", got="none")
     measured = [measure_hand(recording) for recording in recordings]
-    joined = _joined([*map(without_faults, recordings, measured)])
-    # A recording without faults was measured before.
-    lengths = measured[0] if joined is recordings[0] else measure_hand(joined)
-    return Person(joined.name, lengths, measure_contact_gap(joined))
+    sound = [*map(_sound_samples, recordings, measured)]
+    first = recordings[0]
+    if len(recordings) == 1:
+        if sound[0] is first.valid:
+            # A recording without faults was measured before.
+            return Person(first.name, measured[0], measure_contact_gap(first))
+        alone = replace(first, valid=sound[0])
+        return Person(first.name, measure_hand(alone), measure_contact_gap(alone))
+    time, landmarks = _joined(recordings, sound)
+    lengths = measure_right_hand(landmarks)
+    return Person(first.name, lengths, clipped_gap(smallest_gap(time, landmarks)))
 
 
-def without_faults(
-    recording: Recording, lengths: HumanLengths | None = None
-) -> Recording:
-    """Return a recording in which only samples are valid that the guard lets pass.
+def _sound_samples(recording: Recording, lengths: HumanLengths) -> Array:
+    """Return which samples the guard lets pass, shape (T,).
 
-    If it lets fewer than half pass, the recording stays as it is, since rules that reject most
-    samples do not know this tracker.
+    If it lets fewer than half pass, all valid samples count, since rules that reject most samples
+    do not know this tracker. If all that are valid count, it is `Recording.valid` itself.
 
     Args:
         recording: The recording.
-        lengths: Lengths of the hand in it; measured if omitted.
-
-    Raises:
-        InvalidInputError: If the landmarks are not a plausible hand in metres.
+        lengths: Lengths of the hand in it.
     """
     human = scaled_human(recording, lengths=lengths)
     valid = recording.valid & ~StreamGuard(human).holds(recording)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
-        return recording
-    return replace(recording, valid=valid)
+        return recording.valid
+    return valid
 
 
-def _joined(recordings: Sequence[Recording]) -> Recording:
-    """Put recordings behind each other, as of a right hand."""
-    if len(recordings) == 1:
-        return recordings[0]
-    # Objects do not count, and those of some shapes have no mirror image.
-    alone = [replace(each, object_shape="") for each in recordings]
-    right = [each if each.side == "right" else mirrored(each) for each in alone]
-    steps, landmarks, valid = (
-        np.concatenate([getattr(each, name) for each in right])
-        for name in ("steps", "landmarks", "valid")
-    )
-    return Recording(right[0].name, np.cumsum(steps), landmarks, valid, "right")
+def _joined(
+    recordings: Sequence[Recording], sound: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Put samples of recordings behind each other, as of a right hand.
+
+    Args:
+        recordings: The recordings.
+        sound: Which samples to take of each.
+
+    Returns:
+        Instants [s], shape (T,), and landmarks [m], shape (T, 21, 3).
+    """
+    time = np.cumsum(np.concatenate([each.steps for each in recordings]))
+    # An hour of both hands has 100 MB: no more copies than there must be.
+    landmarks = np.empty((sum(int(each.sum()) for each in sound), LANDMARK_COUNT, 3))
+    start = 0
+    for recording, taken in zip(recordings, sound, strict=True):
+        right = recording
+        if recording.side == "left":
+            # Objects do not count, and those of some shapes have no mirror image.
+            right = mirrored(replace(recording, object_shape=""))
+        stop = start + int(taken.sum())
+        np.compress(taken, right.landmarks, axis=0, out=landmarks[start:stop])
+        start = stop
+    return time[np.concatenate(sound)], landmarks

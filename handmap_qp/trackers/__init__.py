@@ -18,13 +18,21 @@ from .formats import (
     format_to_write,
     list_sources,
     read_hands,
+    read_long_hands,
     read_recording,
     write_recordings,
 )
 from .formats.archive import NpzFormat, array_shapes, read_archive, save_npz
 from .formats.base import SIDES, first_of, reading
 from .formats.disk_columns import DiskColumn, write_npz
-from .formats.long import OVERVIEW, PIECE, LongRecording, blocks_of
+from .formats.long import (
+    OVERVIEW,
+    PIECE,
+    LongRecording,
+    all_long,
+    blocks_of,
+    in_memory,
+)
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
@@ -56,6 +64,7 @@ __all__ = [
     "PointLayout",
     "RecordingFacts",
     "Source",
+    "all_long",
     "array_shapes",
     "blocks_of",
     "check_recording",
@@ -64,12 +73,14 @@ __all__ = [
     "first_of",
     "format_to_write",
     "hints",
+    "in_memory",
     "known_orders",
     "layout_hint",
     "list_sources",
     "load_layout",
     "read_archive",
     "read_hands",
+    "read_long_hands",
     "read_recording",
     "read_with_layout",
     "reading",

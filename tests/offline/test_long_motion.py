@@ -94,7 +94,7 @@ def pieced(tmp_path: Path) -> Iterator[tuple[Trajectory, LongMotion]]:
     long = opened(with_losses(), tmp_path)
     person = measure_person(long.overview)
     with map_long(
-        long, load_hand(ROBOT), person, MappingArguments(), tmp_path / "out.npz"
+        [long], load_hand(ROBOT), person, MappingArguments(), tmp_path / "out.npz"
     ) as motion:
         yield mapped(read_recording(tmp_path / "hours.npz"), person), motion
 
@@ -180,7 +180,7 @@ def test_a_hand_that_is_never_followed_is_refused_in_the_same_words(
     with ExitStack() as stack, pytest.raises(InvalidInputError) as found:
         stack.enter_context(
             map_long(
-                long, load_hand(ROBOT), person, MappingArguments(), tmp_path / "a.npz"
+                [long], load_hand(ROBOT), person, MappingArguments(), tmp_path / "a.npz"
             )
         )
     assert str(found.value) == str(expected.value)
@@ -254,7 +254,7 @@ def test_memory_does_not_grow_with_the_recording(
         long = find_source(tmp_path / "hours.npz").read_long()
         assert isinstance(long, LongRecording)
         out = tmp_path / "out.npz"
-        with map_long(long, robot, person, MappingArguments(), out) as motion:
+        with map_long([long], robot, person, MappingArguments(), out) as motion:
             with out.open("wb") as stream:
                 write_npz(stream, motion.all_columns, is_compressed=False)
             summarise_long(motion, motion.trajectory(*blocks_of(count)))
@@ -286,7 +286,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(
         pytest.raises(DiskFullError, match="make room"),
     ):
         stack.enter_context(
-            map_long(long, load_hand(ROBOT), person, MappingArguments(), out)
+            map_long([long], load_hand(ROBOT), person, MappingArguments(), out)
         )
     assert main(["retarget", str(file), "--robot", ROBOT, "--out", str(out)]) == 1
     assert out.read_bytes() == b"before"

@@ -100,6 +100,10 @@ class PseudoinverseIk(PointIk):
         """Return the step of eq. (8) where the hand was placed; see `_Eq8.displacement`."""
         return self._eq_8.displacement(goal)
 
+    def resolve(self, A: np.ndarray, b: np.ndarray, away: np.ndarray) -> np.ndarray:
+        """Return the step of eq. (8) of given tasks; see `_Eq8.resolve`."""
+        return self._eq_8.resolve(A, b, away)
+
 
 class _Eq8(ReferenceIk):
     """Steps by eq. (8) in place of the QP.
@@ -135,14 +139,29 @@ class _Eq8(ReferenceIk):
         configuration = self.configuration
         wrist = None if goal.wrists is None else pin.SE3(goal.wrists[0])
         A, b = weighted_task(hand, self.options, configuration, goal.points, wrist)
+        return self.resolve(A, b, goal.rest - configuration.q[hand.q_indices])
+
+    def resolve(self, A: np.ndarray, b: np.ndarray, away: np.ndarray) -> np.ndarray:
+        """Return the step of eq. (8) of given tasks.
+
+        Args:
+            A: Weighted Jacobian, shape (r, nv).
+            b: Weighted error, shape (r,).
+            away: Posture to rest in minus the present one, shape (n,).
+
+        Returns:
+            Displacement before any clipping, shape (nv,).
+
+        Raises:
+            numpy.linalg.LinAlgError: As `displacement`.
+        """
         U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
         if self._damping > 0.0:
             inverse = s / (s**2 + self._damping**2)
         else:
             is_kept = s > RANK_TOLERANCE * s[0]
             inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
-        joints = hand.joint_columns
-        away = goal.rest - configuration.q[hand.q_indices]
+        joints = self.hand.joint_columns
         homogeneous = np.zeros(A.shape[1])
         homogeneous[joints] = self.options.rest_weight**2 * self._scale[joints] * away
         # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside

@@ -27,7 +27,7 @@ from handmap_core.errors import (
 )
 from handmap_core.se3 import Array, Arrays
 from handmap_qp.apps.offline.long_motion import map_long
-from handmap_qp.apps.offline.look_ahead import look_ahead
+from handmap_qp.apps.offline.look_ahead import look_ahead, look_ahead_parts
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
@@ -39,12 +39,13 @@ from handmap_qp.trackers import (
     OVERVIEW,
     DiskColumn,
     LongRecording,
+    all_long,
     array_shapes,
-    blocks_of,
     check_recording,
     hints,
+    in_memory,
     read_archive,
-    read_hands,
+    read_long_hands,
     reading,
     recording_facts,
     write_npz,
@@ -113,16 +114,13 @@ def _run(job: Job) -> Values:
         raise InvalidInputError(
             f"there is no robot for the {side} hand", argument="--robot"
         )
-    long = None
     with time_limit(_READING * max(1.0, job.line.frames / OVERVIEW)):
         if side == BOTH:
-            recordings = [*read_hands([job.line.path]).values()]
-        elif options.look_ahead:
-            recordings = [job.source.read()]
+            found = [*read_long_hands([job.line.path]).values()]
         else:
-            found = job.source.read_long()
-            long = found if isinstance(found, LongRecording) else None
-            recordings = [found.overview if isinstance(found, LongRecording) else found]
+            found = [job.source.read_long()]
+        long = all_long(found)
+        recordings = [in_memory(each) for each in long or found]
     for recording in recordings:
         check_recording(recording)
     unusual = [hint for each in recordings for hint in hints(recording_facts(each))]
@@ -135,17 +133,18 @@ def _run(job: Job) -> Values:
         "out": job.out,
     }
     if long:
+        if options.look_ahead:
+            # Free the overviews of the samples as they were before those of the smooth ones.
+            del found, recordings
+            long = [each.filtered(look_ahead_parts) for each in long]
         return results | _map_long(job, long, robot, person)
     if options.look_ahead:
         recordings = list(map(look_ahead, recordings))
     trajectory, _, valid = map_hands(recordings, robot, person, options.arguments)
     columns = {"side": np.array(side)}
     if side == BOTH:
-        at_once = valid.all(axis=1)
-        expect(at_once.any(), "hands", "both at once", got="one at a time")
-        trajectory = dataclasses.replace(trajectory, valid=at_once)
-        wrists = [[h.frame_pose("wrist", q) for h in robot.hands] for q in trajectory.q]
-        columns |= {"valid": valid, "wrist": np.array(wrists)}
+        trajectory = _at_once(trajectory, valid)
+        columns |= {"valid": valid, "wrist": _wrists(robot, trajectory.q)}
     metrics = measure_episode(recordings, robot, trajectory, person.contact_gap)
     return results | {
         "frames": len(trajectory.time),
@@ -154,19 +153,53 @@ def _run(job: Job) -> Values:
     }
 
 
-def _map_long(job: Job, long: LongRecording, robot: Hand, person: Person) -> Values:
-    """Map a long recording of one hand by pieces; measures are those of its overview."""
+def _at_once(trajectory: Trajectory, followed: Array) -> Trajectory:
+    """Return a motion that is valid where both hands are followed.
+
+    Args:
+        trajectory: The motion.
+        followed: Whether each hand was followed, shape (T, number of hands).
+
+    Raises:
+        InvalidInputError: If they never are.
+    """
+    at_once = followed.all(axis=1)
+    expect(at_once.any(), "hands", "both at once", got="one at a time")
+    return dataclasses.replace(trajectory, valid=at_once)
+
+
+def _wrists(robot: Hand, q: Array) -> Array:
+    """Return the wrist poses of all hands of a robot, shape (T, number of hands, 4, 4).
+
+    Args:
+        robot: The hands as one.
+        q: Joint positions [rad or m], shape (T, n).
+    """
+    return np.array([[h.frame_pose("wrist", row) for h in robot.hands] for row in q])
+
+
+def _map_long(
+    job: Job, long: Sequence[LongRecording], robot: Hand, person: Person
+) -> Values:
+    """Map long recordings by pieces; measures are those of their overviews."""
     file = job.folder / job.out
     make_folder(file.parent, "--out")
     with map_long(
         long, robot, person, job.options.arguments, file, argument="--out"
     ) as motion:
-        trajectory = motion.trajectory(*blocks_of(len(long)))
+        blocks = max(long, key=len).blocks
+        trajectory = motion.trajectory(*blocks)
         columns = motion.columns | {"side": np.array(job.line.side)}
+        if job.line.side == BOTH:
+            trajectory = _at_once(trajectory, motion.followed.blocks(blocks))
+            with writing(file, "--out"):
+                wrists = motion.derive(lambda q: _wrists(robot, q))
+            columns |= {"valid": motion.followed, "wrist": wrists}
+        overviews = [each.overview for each in long]
         return {
-            "frames": len(long),
+            "frames": len(motion),
             "metrics": measure_episode(
-                [long.overview], robot, trajectory, person.contact_gap
+                overviews, robot, trajectory, person.contact_gap
             ),
             "sha256": save_long_episode(file, columns),
         }
@@ -205,10 +238,9 @@ def measure_episode(
     """
     found = []
     for recording in recordings:
-        samples = core.Samples(recording.time, recording.landmarks, recording.valid)
         found.append(
             core.measure_episode(
-                samples,
+                _samples_at(recording, trajectory.time),
                 trajectory.valid,
                 trajectory.point_error,
                 trajectory.at_limit,
@@ -224,6 +256,21 @@ def measure_episode(
         value = worse.reduce([values.get(each.key, np.nan) for values in found])
         rounded[each.key] = float(f"{value:.6g}") if np.isfinite(value) else None
     return rounded
+
+
+def _samples_at(recording: Recording, time: Array) -> core.Samples:
+    """Return the samples of a recording, one for each of T instants.
+
+    Hands of different rates have different numbers of samples; the newest one at each instant
+    counts, as it does where they are mapped.
+    """
+    if len(recording) == len(time):
+        return core.Samples(recording.time, recording.landmarks, recording.valid)
+    newest = np.searchsorted(recording.time, time, "right") - 1
+    is_known = newest >= 0
+    newest = np.maximum(newest, 0)
+    valid = recording.valid[newest] & is_known
+    return core.Samples(time, recording.landmarks[newest], valid)
 
 
 def _surfaces(

@@ -29,13 +29,19 @@ from handmap_qp.human import PALM, Recording, human_name, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
-from handmap_qp.trackers import SIDES, LongRecording, blocks_of, save_npz
+from handmap_qp.trackers import (
+    SIDES,
+    LongRecording,
+    all_long,
+    in_memory,
+    save_npz,
+)
 from .inputs import describe_input, input_notes, input_rows
 from .long_motion import map_long
 from .long_summary import summarise_long
 from .moments import MappedMotion, save_moments
 from .summary import compare_closing, notes, summarise, table_rows
-from .trajectory import map_hands
+from .trajectory import Trajectory, map_hands
 
 PICTURE_FORMS = (".png", ".webp", ".svg", ".pdf")
 """Suffixes of the picture, the usual one first."""
@@ -109,17 +115,12 @@ class Retarget:
         with progress("reading"):
             read = self._read()
         moves = [
-            (robot, used, self._out(_overviews(used)[0], robot)) for robot, used in read
+            (robot, used, self._out(in_memory(used[0]), robot)) for robot, used in read
         ]
         motions = []
         summaries = []
         for robot, used, out in moves:
-            if isinstance(used, LongRecording):
-                motion, summary = self._map_long(robot, used, out)
-            else:
-                motion = self._map(robot, used)
-                save_npz(out, motion.trajectory.all_columns)
-                summary = summarise(motion.trajectory)
+            motion, summary = self._write(robot, used, out)
             summaries.append(self._summary(motion, summary, out))
             if self.picture:
                 motions.append(motion)
@@ -141,8 +142,8 @@ class Retarget:
         if self.picture:
             print(f"wrote {self.picture}")
 
-    def _read(self) -> list[tuple[Hand, list[Recording] | LongRecording]]:
-        """Read each robot with the recordings of its hands, or open a long one of one hand."""
+    def _read(self) -> list[tuple[Hand, Sequence[Recording | LongRecording]]]:
+        """Read each robot with the recordings of its hands, or open those that are long."""
         expect(
             (self.robot is None) != (self.robots is None),
             "--robot",
@@ -165,11 +166,7 @@ class Retarget:
         hands = self.inputs.read_both_long(
             self.recordings, self.person, mirror=self.mirror
         )
-        found = [(robot, hands[robot.side]) for robot in robots]
-        return [
-            (robot, hand if isinstance(hand, LongRecording) else [hand])
-            for robot, hand in found
-        ]
+        return [(robot, [hands[robot.side]]) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write."""
@@ -180,6 +177,16 @@ class Retarget:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
+    def _write(
+        self, robot: Hand, used: Sequence[Recording | LongRecording], out: Path
+    ) -> tuple[MappedMotion, Values]:
+        """Map the recordings of a robot's hands, and write the motion; return its summary too."""
+        if long := all_long(used):
+            return self._map_long(robot, long, out)
+        motion = self._map(robot, [in_memory(each) for each in used])
+        save_npz(out, motion.trajectory.all_columns)
+        return motion, summarise(motion.trajectory)
+
     def _map(self, robot: Hand, used: list[Recording]) -> MappedMotion:
         """Map the recordings of a robot's hands."""
         person = person_of(used, self.person)
@@ -187,26 +194,28 @@ class Retarget:
             trajectory, method, followed = map_hands(
                 used, robot, person, self.arguments, advance
             )
-        if trajectory.object_pose is None and any(each.object_shape for each in used):
-            warn(f"{robot.name} is mapped without the object: {_TOUCHES} touches it")
+        _warn_of_objects(trajectory, used)
         return MappedMotion(trajectory, used, method, followed)
 
     def _map_long(
-        self, robot: Hand, used: LongRecording, out: Path
+        self, robot: Hand, used: list[LongRecording], out: Path
     ) -> tuple[MappedMotion, Values]:
-        """Map a long recording, and write it; return its overview and its summary."""
-        person = person_of([used.overview], self.person)
+        """Map long recordings, and write the motion; return its overview and its summary."""
+        overviews = [each.overview for each in used]
+        person = person_of(overviews, self.person)
         with ExitStack() as opened:
-            with progress(f"mapping to {robot.name}", len(used)) as advance:
+            with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
                 motion = opened.enter_context(
                     map_long(used, robot, person, self.arguments, out, advance)
                 )
             with progress("writing"):
                 save_npz(out, motion.all_columns)
-            trajectory = motion.trajectory(*blocks_of(len(used)))
-            followed = trajectory.valid[:, None]
+            blocks = max(used, key=len).blocks
+            trajectory = motion.trajectory(*blocks)
+            _warn_of_objects(trajectory, overviews)
+            followed = motion.followed.blocks(blocks)
             return (
-                MappedMotion(trajectory, [used.overview], motion.method, followed),
+                MappedMotion(trajectory, overviews, motion.method, followed),
                 summarise_long(motion, trajectory),
             )
 
@@ -234,9 +243,11 @@ class Retarget:
         return None
 
 
-def _overviews(used: list[Recording] | LongRecording) -> list[Recording]:
-    """Return what is in the memory of the recordings of a robot's hands."""
-    return [used.overview] if isinstance(used, LongRecording) else used
+def _warn_of_objects(trajectory: Trajectory, used: Sequence[Recording]) -> None:
+    """Warn if a recording has an object, and the motion has none."""
+    if trajectory.object_pose is None and any(each.object_shape for each in used):
+        name = trajectory.robot.name
+        warn(f"{name} is mapped without the object: {_TOUCHES} touches it")
 
 
 @dataclass(frozen=True)

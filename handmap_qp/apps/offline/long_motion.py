@@ -1,15 +1,17 @@
 """Map recordings of hours piece by piece: `map_long` returns a `LongMotion`.
 
-Every sample is mapped as by `map_recording`, by one follower that goes on from piece to piece. The
+Every sample is mapped as by `map_hands`, by one follower that goes on from piece to piece. The
 columns of the motion are on the disk, in files without names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
+from time import thread_time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +20,15 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import Person, sample_columns
 from handmap_qp.output_files import writing
-from handmap_qp.stream import Follower, StepTable
+from handmap_qp.stream import Follower, RobotFollower, StepTable, paired_parts
 from handmap_qp.trackers import DiskColumn, LongRecording
 from .trajectory import (
     Progress,
     Trajectory,
+    followed_hands,
     hand_mapper,
     nothing_followed,
+    robot_follower,
     trajectory_of_table,
 )
 
@@ -56,6 +60,9 @@ class LongMotion:
         self.columns: dict[str, Array | DiskColumn] = {}
         self.all_columns: dict[str, Array | DiskColumn] = {}
         self._samples: dict[str, DiskColumn] = {}
+        # Which hands were followed, and columns that `derive` has made.
+        self._others: list[DiskColumn] = []
+        self._followed: DiskColumn | None = None
         self._folder = folder
 
     def __len__(self) -> int:
@@ -71,8 +78,9 @@ class LongMotion:
         arrays = part.all_columns
         if not self._samples:
             own = {field.name for field in fields(part)} - {"robot"}
+            own |= {"all_q", *part.wrist_columns}
             for name, array in (arrays | {"step_cpu": part.step_cpu}).items():
-                if name in own or name == "all_q":
+                if name in own:
                     self._samples[name] = DiskColumn(
                         self._folder, array.dtype, array.shape[1:]
                     )
@@ -83,6 +91,42 @@ class LongMotion:
         arrays["step_cpu"] = part.step_cpu
         for name, column in self._samples.items():
             column.append(arrays[name])
+
+    def append_followed(self, flags: Array) -> None:
+        """Write whether each hand was followed in the next samples, shape (T, number of hands).
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        if self._followed is None:
+            self._followed = DiskColumn(self._folder, flags.dtype, flags.shape[1:])
+            self._others.append(self._followed)
+        self._followed.append(flags)
+
+    @property
+    def followed(self) -> DiskColumn:
+        """Whether each hand was followed, shape (T, number of hands)."""
+        assert self._followed is not None
+        return self._followed
+
+    def derive(self, compute: Callable[[Array], Array]) -> DiskColumn:
+        """Make a further column of the joint positions.
+
+        Args:
+            compute: Takes joint positions of T samples, shape (T, n), and returns the T rows.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        column: DiskColumn | None = None
+        for q in self._samples["q"].pieces():
+            rows = compute(q)
+            if column is None:
+                column = DiskColumn(self._folder, rows.dtype, rows.shape[1:])
+                self._others.append(column)
+            column.append(rows)
+        assert column is not None
+        return column
 
     def column(self, name: str) -> Array:
         """Read one column of all samples."""
@@ -108,13 +152,27 @@ class LongMotion:
 
     def close(self) -> None:
         """Remove the columns."""
-        for column in self._samples.values():
+        for column in (*self._samples.values(), *self._others):
             column.close()
+
+
+class _Mapped(NamedTuple):
+    """What a follower made of some consecutive samples.
+
+    Attributes:
+        time: Their instants [s], shape (T,).
+        table: Their steps.
+        followed: Whether each hand was followed, shape (T, number of hands).
+    """
+
+    time: Array
+    table: StepTable
+    followed: Array
 
 
 @contextmanager
 def map_long(
-    recording: LongRecording,
+    recordings: Sequence[LongRecording],
     robot: Hand,
     person: Person,
     arguments: MappingArguments,
@@ -123,11 +181,11 @@ def map_long(
     *,
     argument: str = "path",
 ) -> Iterator[LongMotion]:
-    """Map a long recording of a person to a robot hand with the options of a command.
+    """Map long recordings of a person to a robot with the options of a command.
 
     Args:
-        recording: The recording.
-        robot: The robot hand.
+        recordings: A recording for the robot hand, or of each hand of the robot in its order.
+        robot: The robot hand, or the hands of the robot as one.
         person: The person.
         arguments: Reference points and options.
         out: The file that will be written; the motion is in its folder until the block ends.
@@ -139,27 +197,61 @@ def map_long(
 
     Raises:
         DiskFullError: If the disk of that folder is full.
-        HandmapError: If the recording cannot be read or mapped.
+        HandmapError: If a recording cannot be read or mapped.
     """
-    mapper = hand_mapper(recording.overview, robot, person, arguments)
-    follower = Follower(mapper)
-    pieces = _Pieces(mapper.robot)
-    motion = LongMotion(mapper.robot, mapper.method, out.parent)
+    first = recordings[0]
+    overviews = [each.overview for each in recordings]
+    if robot.parts:
+        follower, method = robot_follower(overviews, robot, person, arguments)
+        whole = follower.mapper.robot
+        mapped = _mapped_both(follower, whole, recordings)
+    else:
+        mapper = hand_mapper(first.overview, robot, person, arguments)
+        method = mapper.method
+        whole = mapper.robot
+        mapped = _mapped_hand(Follower(mapper), first)
+    pieces = _Pieces(whole)
+    motion = LongMotion(whole, method, out.parent)
     try:
         done = 0
-        for part in recording.parts():
-            table = follower.map_samples(sample_columns(part))
-            made = pieces.follow(part.time, table)
+        for time, table, followed in mapped:
+            made = pieces.follow(time, table)
             with writing(out, argument):
+                motion.append_followed(followed)
                 for trajectory in made:
                     motion.append(trajectory)
-            done += len(part)
+            done += len(time)
             if progress:
                 progress(done)
         pieces.expect_followed()
         yield motion
     finally:
         motion.close()
+
+
+def _mapped_hand(follower: Follower, recording: LongRecording) -> Iterator[_Mapped]:
+    """Let a robot hand follow a recording."""
+    for part in recording.parts():
+        table = follower.map_samples(sample_columns(part))
+        is_held = table.rows[:, _HELD] > 0.0
+        yield _Mapped(part.time, table, ~is_held[:, None])
+
+
+def _mapped_both(
+    follower: RobotFollower, robot: Hand, recordings: Sequence[LongRecording]
+) -> Iterator[_Mapped]:
+    """Let a robot follow a recording of each hand, at the instants of the longest one."""
+    leading = max(recordings, key=len).overview.side
+    parts = {each.overview.side: each.parts() for each in recordings}
+    for time, pairs in paired_parts(parts, leading):
+        table = StepTable(robot, len(time))
+        followed = []
+        for i, samples in enumerate(pairs):
+            started = thread_time()
+            step = follower.map_samples(samples)
+            table.write(i, step, thread_time() - started)
+            followed.append(followed_hands(step))
+        yield _Mapped(time, table, np.array(followed))
 
 
 class _Pieces:

@@ -149,12 +149,15 @@ class Trajectory(RobotMotion):
             "all_q": robot.all_joints(self.q),
             "versions": np.array(package_versions()),
             **{
-                f"wrist_{hand.side}": np.array(
-                    [hand.frame_pose("wrist", q) for q in self.q]
-                )
-                for hand in robot.parts
+                name: np.array([hand.frame_pose("wrist", q) for q in self.q])
+                for name, hand in self.wrist_columns.items()
             },
         }
+
+    @property
+    def wrist_columns(self) -> dict[str, Hand]:
+        """Names of the arrays of wrist poses in a file of a robot with two hands, by hand."""
+        return {f"wrist_{hand.side}": hand for hand in self.robot.parts}
 
 
 @cache
@@ -324,28 +327,57 @@ def map_hands(
         trajectory = map_recording(mapper, first, progress)
         return trajectory, mapper.method, trajectory.valid[:, None]
     used = {recording.side: recording for recording in recordings}
-    humans = {
-        side: scaled_human(
-            recording, points=arguments.human_points, lengths=person.lengths
-        )
-        for side, recording in used.items()
-    }
-    human = humans[first.side]
-    _, method, ik = arguments.preset_for(human, robot.hands[0], first.upright)
-    follower = RobotFollower(RobotMapper(robot, humans, method, ik=ik))
+    follower, method = robot_follower(recordings, robot, person, arguments)
     followed = []
 
     def steps() -> Iterator[RobotStep]:
         for samples in paired(used):
             step = follower.map_samples(samples)
-            # A hand that has had no sample yet has no verdict.
-            hands = step.hands.values()
-            followed.append([bool(h.verdict) and not h.is_held for h in hands])
+            followed.append(followed_hands(step))
             yield step
 
     time = max(recordings, key=len).time
     trajectory = trajectory_of(follower.mapper.robot, time, steps(), progress)
     return trajectory, method, np.array(followed)
+
+
+def robot_follower(
+    recordings: Sequence[Recording],
+    robot: Hand,
+    person: Person,
+    arguments: MappingArguments,
+) -> tuple[RobotFollower, object]:
+    """Return what lets a robot follow both hands of a person with the options of a command.
+
+    Args:
+        recordings: A recording of each hand of the robot in its order; sides and the world of the
+            first one count.
+        robot: The hands of the robot as one.
+        person: The person.
+        arguments: Reference points and options.
+
+    Returns:
+        The follower, and the method that maps.
+
+    Raises:
+        HandmapError: If the options do not fit.
+    """
+    first = recordings[0]
+    humans = {
+        recording.side: scaled_human(
+            recording, points=arguments.human_points, lengths=person.lengths
+        )
+        for recording in recordings
+    }
+    human = humans[first.side]
+    _, method, ik = arguments.preset_for(human, robot.hands[0], first.upright)
+    return RobotFollower(RobotMapper(robot, humans, method, ik=ik)), method
+
+
+def followed_hands(step: RobotStep) -> list[bool]:
+    """Return whether each hand was followed in a step of a robot."""
+    # A hand that has had no sample yet has no verdict.
+    return [bool(hand.verdict) and not hand.is_held for hand in step.hands.values()]
 
 
 def hand_mapper(

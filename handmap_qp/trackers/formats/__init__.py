@@ -185,6 +185,18 @@ def read_hands(
     return {side: source.read() for side, source in sources.items()}
 
 
+def read_long_hands(
+    paths: Sequence[Path | str], *, fps: float | None = None
+) -> dict[Side, Recording | LongRecording]:
+    """Read both hands as `read_hands`, or open those to be read by pieces that are long.
+
+    Raises:
+        HandmapError: As `read_hands`.
+    """
+    sources = find_hands(paths, fps=fps)
+    return {side: source.read_long() for side, source in sources.items()}
+
+
 def find_hands(
     paths: Sequence[Path | str], *, fps: float | None = None
 ) -> dict[Side, Source]:

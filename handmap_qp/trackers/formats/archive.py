@@ -16,17 +16,16 @@ from collections.abc import (
     Sequence,
 )
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
 
-from handmap_core.errors import InvalidInputError, RecordingError, expect
+from handmap_core.errors import InvalidInputError, expect
 from handmap_core.se3 import Array, Arrays, as_floats
 from handmap_qp.hands import Names, Side, Values
-from handmap_qp.human import LANDMARK_COUNT, Recording, RecordingPart, regular_time
+from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
 from handmap_qp.output_files import replaced_file
 from .base import (
     COLUMNS,
@@ -43,7 +42,8 @@ from .base import (
     time_in,
 )
 from .disk_columns import DiskColumn, write_npz
-from .long import PIECE, LongRecording, overview_of
+from .long import PIECE, LongRecording
+from .pieces import recording_parts
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
@@ -151,7 +151,8 @@ class NpzFormat(RecordingFormat):
             return None
         if self.hints.fps is not None:
             fields["time_source"] = f"{self.hints.fps:g} samples/s, as given"
-        return _open_long(_LongArchive(path, entry, fields, members))
+        archive = _LongArchive(path, entry, fields, members)
+        return LongRecording.opened(archive.parts, archive.count)
 
     def _fields(
         self, path: Path, entry: Entry, others: set[str]
@@ -447,12 +448,22 @@ class _LongArchive:
     def parts(self) -> Iterator[Recording]:
         """Read the hand from the first sample on.
 
-        Yields:
+        Returns:
             All samples in the order of time, `PIECE` at once.
 
         Raises:
             RecordingError: If the file is damaged, or a sample is wrong.
         """
+        return recording_parts(
+            self.path,
+            self._entry,
+            self._pieces(),
+            prefix=_prefix(self._entry),
+            **self._words,
+        )
+
+    def _pieces(self) -> Iterator[Values]:
+        """Read the columns of `PIECE` samples at once."""
         names = tuple(self._members)
         start = 0
         for pieces in self._rows([*self._members.values()], PIECE):
@@ -460,43 +471,8 @@ class _LongArchive:
             columns: Values = {
                 name: values[start:stop] for name, values in self._columns.items()
             }
-            columns |= zip(names, pieces, strict=True)
-            try:
-                part = build_recording(
-                    self.path,
-                    self._entry,
-                    **columns,
-                    prefix=_prefix(self._entry),
-                    kind=RecordingPart,
-                    **self._words,
-                )
-            except RecordingError as error:
-                error.problem += f", counted from sample {start}"
-                raise
-            yield _with_unknown(part, columns)
+            yield columns | dict(zip(names, pieces, strict=True))
             start = stop
-
-
-def _with_unknown(part: Recording, columns: Container[str]) -> Recording:
-    """Return a part with all columns of its recording: NaN where it has none of their numbers.
-
-    Raises:
-        InvalidInputError: If a sample in which the hand was seen has none.
-    """
-    lost: Arrays = {}
-    for name in ("wrist", "object_pose", "confidence"):
-        if name in columns and getattr(part, name) is None:
-            known = "numbers wherever the hand was seen"
-            expect(not part.valid.any(), name, known, got="none")
-            shape = (len(part),) if name == "confidence" else (len(part), 4, 4)
-            lost[name] = np.full(shape, np.nan)
-    return replace(part, **lost)
-
-
-def _open_long(archive: _LongArchive) -> LongRecording:
-    """Read a hand of an archive for the first time, and return what reads it again."""
-    overview = overview_of(archive.parts(), archive.count)
-    return LongRecording(overview, archive.count, archive.parts)
 
 
 def save_npz(

@@ -421,7 +421,12 @@ def _if_known(values: Any, name: str) -> Array | None:
 def _poses(values: Any, name: str) -> Array | None:
     """Return poses, (T, 4, 4), of their upper three rows, (T, 12), too; None as `_if_known`."""
     poses = _if_known(values, name)
-    if poses is None or poses.shape[1:] != (12,):
+    return None if poses is None else whole_poses(poses)
+
+
+def whole_poses(poses: Array) -> Array:
+    """Return poses, (T, 4, 4), of their upper three rows, (T, 12), too."""
+    if poses.shape[1:] != (12,):
         return poses
     rows = poses.reshape(-1, 3, 4)
     return affine(rows[..., :3], rows[..., 3])

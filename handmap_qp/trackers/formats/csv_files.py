@@ -6,13 +6,13 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
 from handmap_core.errors import InvalidInputError, expect
-from handmap_core.se3 import Arrays
+from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
@@ -27,6 +27,8 @@ from .base import (
     reading,
     side_of,
 )
+from .long import PIECE, LongRecording
+from .pieces import OPTIONAL, open_pieces
 
 Row = list[str]
 
@@ -54,20 +56,51 @@ class CsvFormat(RecordingFormat):
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
+        (columns,) = self._pieces(path, entry, entry.samples)
+        return build_recording(path, entry, **columns)
+
+    def open_long(self, path: Path, entry: Entry) -> LongRecording | None:
+        """Open the rows of one hand."""
+        with opened_table(path) as (header, _):
+            optional = [name for name in OPTIONAL if COLUMNS[name][0] in header]
+        fps = self.hints.fps
+        rate = "" if fps is None else f"{fps:g} samples/s, as given"
+        return open_pieces(
+            path,
+            entry,
+            lambda: self._pieces(path, entry, PIECE),
+            optional,
+            time_source=rate,
+        )
+
+    def _pieces(self, path: Path, entry: Entry, size: int) -> Iterator[Values]:
+        """Read the rows of one hand, so many at once, as columns of `build_recording`."""
+        instants: Array | None = None
+        start = 0
+        for columns in self._table_pieces(path, entry, size):
+            stop = start + len(columns["landmarks"])
+            if self.hints.fps is not None or "time" not in columns:
+                if instants is None:
+                    instants = self.hints.time_of_file(entry.samples)
+                columns["time"] = instants[start:stop]
+            yield columns
+            start = stop
+
+    def _table_pieces(self, path: Path, entry: Entry, size: int) -> Iterator[Values]:
+        """Read the columns of one hand that the table has, so many rows at once."""
         with opened_table(path) as (header, rows):
             sides = self._by_side(header, rows)
             own = (row for side, row in sides if side == entry.side)
             given = {f: names for f, names in COLUMNS.items() if names[0] in header}
-            table = numbers(own, header, [*chain(*given.values())])
-        columns: Values = {
-            field: table[names[0]]
-            if len(names) == 1
-            else np.column_stack([table[name] for name in names])
-            for field, names in given.items()
-        }
-        if self.hints.fps is not None or "time" not in columns:
-            columns["time"] = self.hints.time_of_file(entry.samples)
-        return build_recording(path, entry, **columns)
+            for _ in range(0, entry.samples, size):
+                piece = islice(own, size)
+                table = numbers(piece, header, [*chain(*given.values())])
+                yield {
+                    field: table[names[0]]
+                    if len(names) == 1
+                    else np.column_stack([table[name] for name in names])
+                    for field, names in given.items()
+                }
 
     def _by_side(
         self, header: Mapping[str, int], rows: Iterable[Row]

@@ -41,6 +41,8 @@ from .base import (
     reading,
     side_of,
 )
+from .long import LongRecording, pieces_of
+from .pieces import OPTIONAL, open_pieces
 
 SUFFIXES = (".hdf5", ".h5")
 RATE = 30.0
@@ -71,6 +73,7 @@ def numbers(
     group: Any,
     name: str,
     shape: tuple[int, ...],
+    samples: slice | None = None,
 ) -> Array:
     """Read an array of numbers, in the type that the file has.
 
@@ -78,6 +81,7 @@ def numbers(
         group: The group that holds it.
         name: Its name there.
         shape: Its shape, or the first part of it.
+        samples: Which rows to read; all if omitted.
 
     Raises:
         InvalidInputError: If it is missing, of another shape or type, or impossibly large.
@@ -90,12 +94,12 @@ def numbers(
     elif size[: len(shape)] != shape or item.dtype.kind not in "biuf":
         got = f"{item.dtype} of shape {size}"
         problem = f"expected numbers of shape {shape}, got {got}"
-    elif item.nbytes > LARGEST_ARCHIVE:
+    elif samples is None and item.nbytes > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
     # By its name, because h5py's own type is no native one to the compiled core.
-    return np.array(item[()], item.dtype.str)
+    return np.array(item[() if samples is None else samples], item.dtype.str)
 
 
 def stacked_numbers(group: Any, names: Sequence[str], shape: tuple[int, ...]) -> Array:
@@ -213,9 +217,49 @@ class RobomimicFormat(_Hdf5Format):
                 for name in COLUMNS
                 if name in obs or name == "time"
             }
-            for key in ("name", *WORDS):
-                columns[key] = str(demo.attrs.get(key, ""))
-        return build_recording(path, entry, **columns, prefix=f"data/{entry.name}/obs/")
+            words = self._words(demo)
+        return build_recording(
+            path, entry, **columns, **words, prefix=self._prefix(entry)
+        )
+
+    def open_long(self, path: Path, entry: Entry) -> LongRecording | None:
+        """Open one demonstration, unless it has an object with a shape or another rate."""
+        with opened(path) as file:
+            demo = file["data"][entry.name]
+            names = [name for name in COLUMNS if name in demo["obs"] or name == "time"]
+            words = self._words(demo)
+        if words["object_shape"] or self.hints.fps is not None:
+            return None
+        return open_pieces(
+            path,
+            entry,
+            lambda: self._pieces(path, entry, names),
+            [name for name in OPTIONAL if name in names],
+            prefix=self._prefix(entry),
+            **words,
+        )
+
+    def _pieces(
+        self, path: Path, entry: Entry, names: Sequence[str]
+    ) -> Iterator[Values]:
+        """Read columns of one demonstration by pieces."""
+        for samples in pieces_of(entry.samples):
+            with opened(path) as file:
+                obs = file["data"][entry.name]["obs"]
+                yield {
+                    name: numbers(obs, name, (entry.samples,), samples)
+                    for name in names
+                }
+
+    @staticmethod
+    def _prefix(entry: Entry) -> str:
+        """Return what the names of the arrays of a demonstration begin with."""
+        return f"data/{entry.name}/obs/"
+
+    @staticmethod
+    def _words(demo: Any) -> dict[str, str]:
+        """Return the name of a demonstration, and the words about it."""
+        return {key: str(demo.attrs.get(key, "")) for key in ("name", *WORDS)}
 
     def unread(self, path: Path) -> Names:
         """Name the arrays that a recording cannot hold."""
@@ -289,38 +333,95 @@ class EgoDexFormat(_Hdf5Format):
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
-        confidence = None
+        shares = None
         with opened(path) as file:
-            group = file["transforms"]
-            poses = stacked_numbers(group, names, (count, 4, 4))
-            is_seen = finite_samples(poses[0])
+            poses = stacked_numbers(file["transforms"], names, (count, 4, 4))
             if "confidences" in file:
-                given = file["confidences"]
-                shares = stacked_numbers(given, names, (count,))
-                is_seen &= shares[0] > 0.0
-                confidence = shares.mean(axis=0)
-            # The second description is of the same motion the other way round.
-            which = file.attrs.get("which_llm_description", "")
-            key = f"llm_description{which}".removesuffix("1")
-            task = str(file.attrs.get(key, ""))
+                shares = stacked_numbers(file["confidences"], names, (count,))
             time = np.arange(count) / RATE
-            time_source = f"{RATE:g} samples/s, as the format says"
             if "time" in file:
                 time = numbers(file, "time", (count,))
-                time_source = ""
+            words = self._words(file)
+        columns = self._columns(time, poses, shares)
         return build_recording(
+            path, entry, **columns, **words, prefix=self._prefix(entry)
+        )
+
+    def open_long(self, path: Path, entry: Entry) -> LongRecording | None:
+        """Open one hand, unless it is to have another rate."""
+        if self.hints.fps is not None:
+            return None
+        with opened(path) as file:
+            words = self._words(file)
+            has_shares = "confidences" in file
+        return open_pieces(
             path,
             entry,
-            time,
-            poses[:, :, :3, 3].swapaxes(0, 1),
-            prefix=f"{entry.side} hand: ",
-            valid=is_seen,
-            source="EgoDex",
-            task=task,
-            time_source=time_source,
-            wrist=poses[0],
-            confidence=confidence,
+            lambda: self._pieces(path, entry),
+            ["wrist", "confidence"] if has_shares else ["wrist"],
+            prefix=self._prefix(entry),
+            **words,
         )
+
+    def _pieces(self, path: Path, entry: Entry) -> Iterator[Values]:
+        """Read columns of one hand by pieces."""
+        names = joint_names(entry.side)
+        count = entry.samples
+        for samples in pieces_of(count):
+            shares = None
+            with opened(path) as file:
+                group = file["transforms"]
+                poses = np.array(
+                    [numbers(group, n, (count, 4, 4), samples) for n in names], float
+                )
+                if "confidences" in file:
+                    given = file["confidences"]
+                    shares = np.array(
+                        [numbers(given, n, (count,), samples) for n in names], float
+                    )
+                time = np.arange(samples.start, samples.stop) / RATE
+                if "time" in file:
+                    time = numbers(file, "time", (count,), samples)
+            yield self._columns(time, poses, shares)
+
+    @staticmethod
+    def _prefix(entry: Entry) -> str:
+        """Return what errors of one hand begin with."""
+        return f"{entry.side} hand: "
+
+    @staticmethod
+    def _words(file: Any) -> dict[str, str]:
+        """Return the words about the hands of a file."""
+        # The second description is of the same motion the other way round.
+        which = file.attrs.get("which_llm_description", "")
+        key = f"llm_description{which}".removesuffix("1")
+        by_rate = f"{RATE:g} samples/s, as the format says"
+        return {
+            "source": "EgoDex",
+            "task": str(file.attrs.get(key, "")),
+            "time_source": "" if "time" in file else by_rate,
+        }
+
+    @staticmethod
+    def _columns(time: Array, poses: Array, shares: Array | None) -> Values:
+        """Return the columns of one hand.
+
+        Args:
+            time: Instants [s], shape (T,).
+            poses: Poses of the 21 joints, shape (21, T, 4, 4).
+            shares: Their confidences, shape (21, T); None if there are none.
+        """
+        is_seen = finite_samples(poses[0])
+        columns: Values = {
+            "time": time,
+            "landmarks": poses[:, :, :3, 3].swapaxes(0, 1),
+            "valid": is_seen,
+            "wrist": poses[0],
+        }
+        if shares is not None:
+            is_seen &= shares[0] > 0.0
+            columns["confidence"] = shares.mean(axis=0)
+        return columns
 
     def unread(self, path: Path) -> Names:
         """Name the joints and groups that a recording cannot hold."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from handmap_core.errors import expect
 from handmap_core.se3 import Array
-from handmap_qp.human import Recording
+from handmap_qp.hands import Values
+from handmap_qp.human import Recording, RecordingPart
 
 SHORTEST = 20_000
 """Recordings with fewer samples are read as a whole."""
@@ -19,6 +20,8 @@ OVERVIEW = 108_000
 """Most samples of a recording whose overview has all of them: an hour at 30 Hz."""
 _BLOCKS, _BLOCK = 12, 4500
 """Blocks that the overview of a longer recording has, and samples of each: 2.5 min at 30 Hz."""
+_BLOCK_OF_BOTH = 4000
+"""Samples of each block of both hands of a person, who are measured together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +29,33 @@ class LongRecording:
     """A recording that does not have to fit into the memory.
 
     Attributes:
-        overview: All samples, if they are at most `OVERVIEW`. Otherwise those of `blocks_of`, the
+        overview: All samples, if they are at most `OVERVIEW`. Otherwise those of `blocks`, the
             last one of each block not valid, so that nothing goes on from one to the next.
         count: Number of samples.
-        parts: Reads the file from the start, and yields its samples in parts of at most `PIECE`.
+        parts: Reads the file from the start, and yields its samples in parts of some `PIECE`.
+        blocks: Which samples the overview has.
     """
 
     overview: Recording
     count: int
     parts: Callable[[], Iterator[Recording]]
+    blocks: Sequence[slice]
+
+    @classmethod
+    def opened(
+        cls, parts: Callable[[], Iterator[Recording]], count: int
+    ) -> LongRecording:
+        """Read all parts of a recording for the first time, and return what reads them again.
+
+        Args:
+            parts: As of the recording.
+            count: Number of samples.
+
+        Raises:
+            InvalidInputError: If no sample of the overview is valid.
+        """
+        blocks = blocks_of(count)
+        return cls(overview_of(parts(), blocks), count, parts, blocks)
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -49,26 +70,130 @@ class LongRecording:
             parts=lambda: map(change, parts()),
         )
 
+    def filtered(
+        self, change: Callable[[Iterator[Recording]], Iterator[Recording]]
+    ) -> LongRecording:
+        """Return it with a change that takes all parts, such as `look_ahead_parts`."""
+        parts = self.parts
+        return replace(
+            self,
+            overview=overview_of(change(parts()), self.blocks),
+            parts=lambda: change(parts()),
+        )
+
+
+def in_memory(recording: Recording | LongRecording) -> Recording:
+    """Return the samples of a recording that are in the memory: all, or those of its overview."""
+    if isinstance(recording, LongRecording):
+        return recording.overview
+    return recording
+
+
+def all_long(
+    recordings: Sequence[Recording | LongRecording],
+) -> list[LongRecording] | None:
+    """Return the recordings of both hands of a person to be read by pieces; None if none is long.
+
+    If both have more samples together than blocks of `_BLOCK_OF_BOTH`, their overviews show the
+    same spans of time: blocks of the one that has most samples.
+    """
+    if not any(isinstance(each, LongRecording) for each in recordings):
+        return None
+    found = [
+        each if isinstance(each, LongRecording) else _pieced(each)
+        for each in recordings
+    ]
+    most = len(found) * _BLOCKS * _BLOCK_OF_BOTH
+    if len(found) == 1 or sum(map(len, found)) <= most:
+        return found
+    index = max(range(len(found)), key=lambda i: len(found[i]))
+    blocks = _spread(len(found[index]), _BLOCK_OF_BOTH)
+    leading = _with_blocks(found[index], blocks)
+    time = leading.overview.time
+    ends = np.cumsum([block.stop - block.start for block in leading.blocks])
+    firsts = time[np.append(0, ends[:-1])]
+    return [
+        leading if i == index else _within(each, firsts, time[ends - 1])
+        for i, each in enumerate(found)
+    ]
+
+
+def _pieced(recording: Recording) -> LongRecording:
+    """Return a recording that is in the memory, to be read by pieces as a long one is."""
+
+    def parts() -> Iterator[Recording]:
+        for samples in pieces_of(len(recording)):
+            yield part_of(recording, samples)
+
+    count = len(recording)
+    return LongRecording(recording, count, parts, [slice(0, count)])
+
+
+def _within(recording: LongRecording, firsts: Array, lasts: Array) -> LongRecording:
+    """Return a recording whose overview has the samples of spans of time.
+
+    Args:
+        recording: The recording.
+        firsts: First instants of the spans [s], shape (b,).
+        lasts: Their last instants [s], shape (b,).
+    """
+    time = np.concatenate([part.time for part in recording.parts()])
+    starts = np.searchsorted(time, firsts, "left")
+    stops = np.searchsorted(time, lasts, "right")
+    blocks = [
+        slice(start, stop)
+        for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)
+        if start < stop
+    ]
+    expect(blocks, "hands", "recordings of both at the same time", got="others")
+    return _with_blocks(recording, blocks)
+
+
+def _with_blocks(recording: LongRecording, blocks: Sequence[slice]) -> LongRecording:
+    """Return a recording whose overview has some blocks of samples."""
+    overview = overview_of(recording.parts(), blocks)
+    return replace(recording, overview=overview, blocks=blocks)
+
+
+def pieces_of(count: int) -> Iterator[slice]:
+    """Yield which samples each piece of so many has."""
+    for start in range(0, count, PIECE):
+        yield slice(start, min(start + PIECE, count))
+
+
+def part_of(recording: Recording, samples: slice) -> Recording:
+    """Return consecutive samples, in none of which the hand has to be seen."""
+    columns: Values = {
+        field.name: value[samples] if isinstance(value, Array) else value
+        for field in fields(recording)
+        for value in [getattr(recording, field.name)]
+    }
+    return RecordingPart(**columns)
+
 
 def blocks_of(count: int) -> list[slice]:
     """Return which samples an overview of so many has: all, or blocks that are evenly spread."""
     if count <= OVERVIEW:
         return [slice(0, count)]
-    starts = np.linspace(0, count - _BLOCK, _BLOCKS).astype(int).tolist()
-    return [slice(start, start + _BLOCK) for start in starts]
+    return _spread(count, _BLOCK)
 
 
-def overview_of(parts: Iterable[Recording], count: int) -> Recording:
+def _spread(count: int, block: int) -> list[slice]:
+    """Return blocks of a number of samples that are evenly spread over so many."""
+    starts = np.linspace(0, count - block, _BLOCKS).astype(int).tolist()
+    return [slice(start, start + block) for start in starts]
+
+
+def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recording:
     """Read all parts of a recording, and return its overview (`LongRecording.overview`).
 
     Args:
         parts: The parts, in the order of time.
-        count: Number of samples.
+        blocks: Which samples the overview has, in the order of time.
 
     Raises:
         InvalidInputError: If no sample of the overview is valid.
     """
-    blocks = blocks_of(count)
     columns: dict[str, Array] = {}
     size = sum(block.stop - block.start for block in blocks)
     start = 0
@@ -99,7 +224,7 @@ def overview_of(parts: Iterable[Recording], count: int) -> Recording:
         expect(
             columns["valid"].any(),
             "valid",
-            f"a hand in one of {_BLOCKS} blocks of {_BLOCK} samples, spread evenly",
+            f"a hand in one of {len(blocks)} blocks of samples, spread evenly",
             got="none",
         )
     words = {
