@@ -79,10 +79,11 @@ class HandsEdit:
     Shows the hand, and gestures of the package's recording as they are mapped to it, with scores.
     Turn the palm's axes, name the fingers or leave some out, drag tips, move the joints to where
     the hand rests. What you give is held, and the rest is found again: the side follows the turned
-    axes, the axes follow another thumb. Where it is uncertain to which side a fist closes, choose
-    the picture of one. Save writes the hand.yaml, with comments. The hand of a URDF or MJCF file is
-    described first, as by `handmap hands init`; of several hands the first one, and a list of roots
-    leads to the others.
+    axes, the axes follow another thumb. Where another thumb, side or palm has nearly as much
+    evidence, or it is uncertain to which side a fist closes, choose one of two pictures. Save
+    writes the hand.yaml, with comments. The hand of a URDF or MJCF file is described first, as by
+    `handmap hands init`; of several hands the first one, and the pictures or a list of roots lead
+    to the others.
 
     Examples:
         handmap hands edit my_hand/hand.yaml --open
