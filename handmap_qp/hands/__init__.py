@@ -53,6 +53,7 @@ from .fingers import (
     partner_names,
     place_of,
 )
+from .follower_limits import Interval, clipped_rule
 from .hand import Hand, Points
 from .human import HUMAN_JOINTS, LARGEST_ROLL, HumanLengths
 from .library import (
@@ -67,7 +68,7 @@ from .library import (
     sided_name,
     why_missing,
 )
-from .model import read_mimic_rules
+from .model import read_mimic_rules, resolve_rule
 from .pads import ball_in, find_pads
 from .robot import (
     BASE,
@@ -177,6 +178,7 @@ __all__ = [
     "Hand",
     "HandSpec",
     "HumanLengths",
+    "Interval",
     "LimitSpec",
     "Links",
     "MimicSpec",
@@ -206,6 +208,7 @@ __all__ = [
     "check_tree",
     "child_of",
     "clip_step",
+    "clipped_rule",
     "coarsen_triangles",
     "common_pairs",
     "convex_hull",
@@ -258,6 +261,7 @@ __all__ = [
     "read_robot_spec",
     "read_urdf",
     "read_yaml",
+    "resolve_rule",
     "robot_files",
     "root_links",
     "shape_model",

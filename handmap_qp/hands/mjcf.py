@@ -40,7 +40,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 8
+_CONVERSION = 9
 # In a file that this one names, the message has other words before these.
 _UNKNOWN = re.compile(
     r"XML Error: Schema violation: unrecognized attribute: '(\w+)'\s+"

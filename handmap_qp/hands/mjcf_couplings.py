@@ -3,7 +3,8 @@
 Constraints couple joints, such as the four bars of a gripper's finger or the cranks and rods that
 push one. Some of the joints lead, and the others follow. A URDF has lines for that: the loops are
 closed for positions of what leads, with MuJoCo's own constraints, and each follower gets the line
-that fits best. What follows no line is held.
+that fits best. What follows no line is held. Limits of followers bound their leader, or their line
+is clipped to them: see `follower_limits`.
 """
 
 import math
@@ -20,6 +21,15 @@ from scipy.sparse.csgraph import connected_components
 
 from handmap_core.se3 import Array, lengths
 from .closed_loops import ClosedLoop, Line, best_line
+from .follower_limits import (
+    LEAST_SHARE,
+    MOST_SHARE,
+    Interval,
+    error_within,
+    leaves,
+    range_left,
+    rule_within,
+)
 from .spec import MimicSpec, Rules
 
 _DISABLE = mujoco.mjtDisableBit
@@ -29,15 +39,15 @@ _JOINING = ("connect", "weld")
 # A joint takes part in a constraint if it moves it by more than this in `qpos0`, where loops are
 # closed [m/rad, or without unit].
 _LEAST_EFFECT = 1e-4
-# Least share of a leader's range in which its loop closes.
+# Least share of a leader's range in which a loop of bodies closes: bars are stiff.
 _LEAST_CLOSED = 0.1
 # A joint is held if it is farther from its line than this [rad or m], and a finger's also than this
 # share of its own range; one that is nearer than the last needs no note.
 _LARGEST_ERROR = 0.1
 _LARGEST_SHARE = 0.25
 _NO_ERROR = 1e-4
-# Least share of a leader's range that a follower's limits leave, and that counts where a loop ends.
-_LEAST_SHARE = 0.01
+# A leader's range that loses less than this share of it needs no note.
+_SMALL_SHARE = 0.01
 
 
 class Couplings(NamedTuple):
@@ -94,7 +104,8 @@ def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> Couplings
             f"{n} [{low:.4g}, {high:.4g}]" for n, (low, high) in found.ranges.items()
         )
         notes.append(
-            f"loops close in a part of a leader's range only: {', '.join(ends)}"
+            "loops close, and followers keep their limits, in a part of a leader's range only: "
+            + ", ".join(ends)
         )
     notes += [
         f"{count} {kind} constraint(s) that a URDF cannot express are left out"
@@ -194,12 +205,13 @@ class _Constraints:
         if not loop.is_closed:
             return None
         traits = self._traits(joints)
+        has_bars = any(self._kinds[i] in _JOINING for i in constraints)
         # What drives leads; or what moves a finger, because a rule has one leader only.
         preferred = self._preference(joints, constraints)
         orders = [preferred, sorted(preferred, key=lambda k: not traits.moves_tip[k])]
         every = [loop.leaders(order) for order in orders[: max(1, loop.freedom)]]
         best = min(
-            (_Fit(loop, leaders, traits) for leaders in every),
+            (_Fit(loop, leaders, traits, has_bars=has_bars) for leaders in every),
             key=lambda fit: fit.badness,
         )
         if not best.is_wide:
@@ -395,13 +407,22 @@ class _Fit:
         loop: The loop.
         leaders: Places of the joints that lead.
         traits: The joints.
+        has_bars: Whether bodies close the loop, so that a follower's limit stops its leader.
 
     Attributes:
         is_wide: Whether the loop closes in a part of each leader's range.
     """
 
-    def __init__(self, loop: ClosedLoop, leaders: list[int], traits: _Traits) -> None:
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        leaders: list[int],
+        traits: _Traits,
+        *,
+        has_bars: bool,
+    ) -> None:
         self._leaders = leaders
+        self._least = LEAST_SHARE if has_bars else MOST_SHARE
         self._start = loop.start
         self._traits = traits
         self._limits = loop.limits
@@ -410,13 +431,14 @@ class _Fit:
         # Of joints without limits, one radian to both sides.
         wanted = np.where(np.isfinite(own_limits), own_limits, around)
         self._wanted = wanted
-        least = _LEAST_CLOSED * np.ptp(wanted, axis=0)
-        # Limits that leave almost no range contradict the constraints.
-        for is_bounded in (True, False):
+        # Where limits leave too little of a range, the loop is closed without them.
+        bounded = _LEAST_CLOSED if has_bars else MOST_SHARE
+        for is_bounded, share in ((True, bounded), (False, _LEAST_CLOSED)):
             postures = loop.postures(leaders, wanted, is_bounded=is_bounded)
             own = postures[:, leaders]
             self._reached = np.array([own.min(axis=0), own.max(axis=0)]).clip(*wanted)
-            self.is_wide = bool((np.ptp(self._reached, axis=0) >= least).all())
+            left = np.ptp(self._reached, axis=0)
+            self.is_wide = bool((left >= share * np.ptp(wanted, axis=0)).all())
             if self.is_wide:
                 break
         self._lines: dict[int, Line] = {
@@ -444,52 +466,82 @@ class _Fit:
 
     def couplings(self) -> Couplings:
         """Return rules, ranges and notes."""
-        limits = self._limits
         names = self._traits.names
         heads = [names[k] for k in self._leaders]
         found = Couplings({}, {}, set(), [], [], [])
+        ends = [Interval(*end) for end in self._reached.T.tolist()]
+        clipped = self._clipped(ends)
         for k, line in self._lines.items():
-            still = MimicSpec("", 0.0, float(self._start[k]))
             # Without freedom, nothing leads, and nothing moves.
             if not heads or k in self._held:
-                found.rules[names[k]] = still
-            elif self._contradicts(line, limits[:, k]):
-                self._hold(k, line, limits[:, k], found)
-            else:
-                rule = MimicSpec(heads[line.leader], line.multiplier, line.offset)
-                found.rules[names[k]] = rule
-                if line.error > _NO_ERROR:
-                    error = f"{math.degrees(line.error):.2g} deg"
-                    if self._traits.slides[k]:
-                        error = f"{1e3 * line.error:.2g} mm"
-                    fit = f"{names[k]} follows {rule.joint} within {error}"
-                    found.fits.append(fit)
+                found.rules[names[k]] = MimicSpec("", 0.0, float(self._start[k]))
+                continue
+            rule = MimicSpec(heads[line.leader], line.multiplier, line.offset)
+            if k in clipped:
+                self._clip(k, rule, ends[line.leader], found)
+                continue
+            found.rules[names[k]] = rule
+            if line.error > _NO_ERROR:
+                error = self._length(k, line.error)
+                found.fits.append(f"{names[k]} follows {rule.joint} within {error}")
         if heads and self._held:
             held = ", ".join(names[k] for k in sorted(self._held))
             found.held.append(f"{held}, which follow {' and '.join(heads)}")
-        ends = zip(heads, self._wanted.T, self._reached.T, strict=True)
-        for head, wanted, reached in ends:
-            if np.abs(wanted - reached).max() > _LEAST_SHARE * np.ptp(wanted):
-                low, high = reached.tolist()
+        for head, wanted, (low, high) in zip(heads, self._wanted.T, ends, strict=True):
+            lost = np.abs(wanted - (low, high)).max()
+            if lost > _SMALL_SHARE * np.ptp(wanted):
                 found.ranges[head] = low, high
         return found
 
-    def _contradicts(self, line: Line, limits: Array) -> bool:
-        """Return whether limits leave a leader almost no range in which a follower keeps them."""
-        ends = self._reached[:, line.leader]
-        if line.multiplier == 0.0:
-            return abs(line.offset - np.clip(line.offset, *limits)) > _LARGEST_ERROR
-        low, high = np.sort((limits - line.offset) / line.multiplier).clip(*ends)
-        return high - low < _LEAST_SHARE * np.ptp(ends)
+    def _clipped(self, ends: list[Interval]) -> set[int]:
+        """Return followers whose limits leave their leader too little of its range.
 
-    def _hold(self, k: int, line: Line, limits: Array, found: Couplings) -> None:
-        """Hold a follower where its limits are nearest to its line."""
+        Limits of the others bound it.
+
+        Args:
+            ends: Ranges of the leaders, which are bounded in place.
+        """
+        wanted = [*ends]
+        clipped = set[int]()
+        for k, line in self._lines.items():
+            if k in self._held:
+                continue
+            own = Interval(*self._limits[:, k].tolist())
+            if line.multiplier == 0.0:
+                if abs(line.offset - own.clip(line.offset)) > _LARGEST_ERROR:
+                    clipped.add(k)
+                continue
+            rule = MimicSpec("", line.multiplier, line.offset)
+            left = range_left(rule, own, ends[line.leader])
+            if leaves(self._least, left, wanted[line.leader]):
+                ends[line.leader] = left
+            else:
+                clipped.add(k)
+        return clipped
+
+    def _clip(
+        self, k: int, rule: MimicSpec, leader: Interval, found: Couplings
+    ) -> None:
+        """Add the rule of a follower as far as its limits allow; with none left, it is held."""
         name = self._traits.names[k]
-        head = self._traits.names[self._leaders[line.leader]]
-        middle = line.multiplier * self._reached[:, line.leader].mean() + line.offset
-        at = float(middle.clip(*limits))
+        own = Interval(*self._limits[:, k].tolist())
+        how = f"{rule.multiplier:.4g} * {rule.joint} + {rule.offset:.4g}, as constraints couple it"
+        inside = f"its limits [{own.low:.4g}, {own.high:.4g}]"
+        is_bent = rule.multiplier != 0.0
+        if is_bent and leaves(LEAST_SHARE, range_left(rule, own, leader), leader):
+            found.rules[name] = rule_within(rule, own, leader)
+            error = self._length(k, error_within(rule, own, leader))
+            found.notes.append(
+                f"{name} stops at {inside} on the way along {how}: it follows on a line between "
+                f"both ends, within {error}, so that {rule.joint} keeps its range"
+            )
+            return
+        at = own.clip(rule.multiplier * (leader.low + leader.high) / 2.0 + rule.offset)
         found.rules[name] = MimicSpec("", 0.0, at)
-        found.notes.append(
-            f"{name} is held at {at:.4g}: {line.multiplier:.4g} * {head} + {line.offset:.4g}, as "
-            f"constraints couple it, is outside of its limits [{limits[0]:.4g}, {limits[1]:.4g}]"
-        )
+        found.notes.append(f"{name} is held at {at:.4g}: {how}, is outside of {inside}")
+
+    def _length(self, k: int, error: float) -> str:
+        """Return a distance of a joint in words."""
+        if self._traits.slides[k]:
+            return f"{1e3 * error:.2g} mm"
+        return f"{math.degrees(error):.2g} deg"

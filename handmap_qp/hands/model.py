@@ -19,6 +19,7 @@ import pinocchio as pin
 from handmap_core.errors import HandError, expect, reason_of
 from handmap_core.hands import Names
 from handmap_core.se3 import frozen
+from .follower_limits import LEAST_SHARE, Interval, leaves, range_left
 from .human import JointMove
 from .spec import HandSpec, MimicSpec, Mount, Positions, Rules
 from .urdf import (
@@ -38,9 +39,6 @@ FLOATING_JOINT = "wrist_mount"
 _JOINT = pin.FrameType.JOINT
 _FIXED_JOINT = pin.FrameType.FIXED_JOINT
 _X_AXIS = frozen(np.array([1.0, 0.0, 0.0]))
-# A follower's limits count as a mistake if they would leave less than this share of its leader's
-# range.
-_LEAST_SHARE = 0.01
 
 
 def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
@@ -185,11 +183,19 @@ def read_mimic_rules(robot: Element) -> Rules:
                 "give its rule in `mimic`, or hold it still in `locked`"
             )
             raise HandError(message, key=f"mimic.{follower}", value=rule.joint)
-    return {follower: _resolve(follower, direct) for follower in direct}
+    return {follower: resolve_rule(follower, direct) for follower in direct}
 
 
-def _resolve(follower: str, direct: Rules) -> MimicSpec:
-    """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d)."""
+def resolve_rule(follower: str, direct: Rules) -> MimicSpec:
+    """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d).
+
+    Args:
+        follower: The joint.
+        direct: Rules as they are written, by follower.
+
+    Raises:
+        HandError: If rules are a circle.
+    """
     passed = [follower]
     rule = direct[follower]
     while rule.joint in direct:
@@ -226,20 +232,17 @@ def tighten_model(model: pin.Model, rules: Rules) -> Names:
             continue
         leader, own = (model.joints[model.getJointId(n)] for n in (rule.joint, name))
         q = leader.idx_q
-        limits = (lower[own.idx_q], upper[own.idx_q])
-        ends = sorted((limit - rule.offset) / rule.multiplier for limit in limits)
-        low = max(lower[q], ends[0])
-        high = min(upper[q], ends[1])
-        # `not a > b` also drops NaN limits.
-        if not high - low > _LEAST_SHARE * (upper[q] - lower[q]):
+        limits = Interval(lower[own.idx_q], upper[own.idx_q])
+        given = Interval(lower[q], upper[q])
+        left = range_left(rule, limits, given)
+        if not leaves(LEAST_SHARE, left, given):
             notes.append(
                 f"the limits [{limits[0]:.4g}, {limits[1]:.4g}] of {name!r} are ignored: with "
                 f"its rule {rule.multiplier:.4g} * {rule.joint} + {rule.offset:.4g} they "
                 f"would leave the leader no range in [{lower[q]:.4g}, {upper[q]:.4g}]"
             )
         else:
-            lower[q] = low
-            upper[q] = high
+            lower[q], upper[q] = left
         speed = velocity[own.idx_v] / abs(rule.multiplier)
         if 0.0 < speed < math.inf:
             velocity[leader.idx_v] = min(velocity[leader.idx_v], speed)

@@ -15,11 +15,11 @@ pytest.importorskip(
 
 from patience import wait_until
 
-from handmap_qp import Hand, HandError, load_hand
+from handmap_qp import Hand, HandError, HandSpec, load_hand
 from handmap_qp.apps.onboarding import edit
 from handmap_qp.apps.onboarding.background import Background
+from handmap_qp.apps.onboarding.choices import PALMS, palms
 from handmap_qp.apps.onboarding.editor import HandEditor
-from handmap_qp.apps.onboarding.gesture_tab import PAIRS, hypotheses
 from handmap_qp.apps.onboarding.palm_turns import palm_axes
 from handmap_qp.apps.viewer.serving import serving
 
@@ -106,22 +106,26 @@ def test_neither_leads_to_other_palms_and_a_picture_chooses_one(
             wait_until(lambda: editor.tick() or editor.gestures.drawn == drawn)
 
         see(None, 1)
-        assert editor.gestures.pair is None
+        assert editor.gestures.question is None
+
+        def pair() -> list[HandSpec]:
+            question = editor.gestures.question
+            assert question is not None
+            return [choice.spec for choice in question.choices]
+
         see("palms", 2)
-        pairs = [editor.gestures.pair]
-        for number in range(PAIRS):
+        pairs = [pair()]
+        for number in range(PALMS):
             see("neither", 3 + number)
-            pairs.append(editor.gestures.pair)
+            pairs.append(pair())
         # After the last pair, the first one comes again.
         assert pairs[-1] == pairs[0]
-        assert pairs[0] is not None
         assert pairs[0][0] == found.spec
-        see("neither", 3 + PAIRS)
-        chosen = editor.gestures.pair
-        assert chosen is not None
-        see("right", 4 + PAIRS)
-        assert editor.found.spec == chosen[1]
-        assert editor.gestures.pair is None
+        see("neither", 3 + PALMS)
+        _, chosen = pair()
+        see("right", 4 + PALMS)
+        assert editor.found.spec == chosen
+        assert editor.gestures.question is None
 
 
 @pytest.mark.parametrize("name", ["three_finger", "allegro_left"])
@@ -129,8 +133,8 @@ def test_hypotheses_are_different_palms(name: str) -> None:
     spec = load_hand(name).spec
     axes = [
         tuple(palm_axes(each).round(6).ravel().tolist())
-        for number in range(PAIRS)
-        for each in hypotheses(spec, number)
+        for number in range(PALMS)
+        for each in palms(spec, number)
     ]
     assert len({*axes}) == len(axes)
 

@@ -183,6 +183,63 @@ def test_an_offset_beyond_the_limits_holds_at_the_nearer_one(tmp_path: Path) -> 
     assert hand.hand.spec.locked["index_distal"] == pytest.approx(-0.3)
 
 
+def test_a_follower_that_stops_early_leaves_its_leader_its_range(
+    tmp_path: Path,
+) -> None:
+    """Distal joints turn four times as far, to 1.6 rad, where proximal ones are at 0.4 of 1.2.
+
+    MuJoCo moves the proximal joints of this file on. Distal joints are exact at both ends, and off
+    by what the note says where they would stop.
+    """
+    text = tendons(factor=4.0)
+    hand = _described(tmp_path, text).hand
+    np.testing.assert_allclose(hand.upper_limits, 1.2, atol=1e-9)
+    posture = hand.all_joints(hand.upper_limits)
+    ends = dict(zip(hand.all_joint_names, posture, strict=True))
+    stop = 0.4
+    knee = dict(
+        zip(hand.all_joint_names, hand.all_joints(np.full(3, stop)), strict=True)
+    )
+    reached = _pulled(mujoco.MjModel.from_xml_string(text))
+    notes = " ".join(_converted(tmp_path, text).notes)
+    for finger in FINGERS:
+        assert ends[f"{finger}_distal"] == pytest.approx(1.6)
+        assert reached[f"{finger}_proximal"] > 0.9 * 1.2
+        assert reached[f"{finger}_distal"] > 1.6
+        said = re.search(rf"{finger}_distal stops .*? within ([\d.]+) deg", notes)
+        assert said
+        error = np.degrees(1.6 - knee[f"{finger}_distal"])
+        assert error == pytest.approx(float(said[1]), rel=0.05)
+
+
+def _pulled(model: mujoco.MjModel, rotor: float = 0.0) -> dict[str, float]:
+    """Return where all joints come to rest with all motors at the end of their joints' ranges.
+
+    Args:
+        model: The model, which is changed.
+        rotor: Inertia of the rotors [kg m^2].
+    """
+    data = mujoco.MjData(model)
+    model.dof_armature[:] = rotor
+    mujoco.mj_setConst(model, data)
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.dof_damping[:] = 20.0 * model.dof_M0
+    data.ctrl[:] = model.jnt_range[model.actuator_trnid[:, 0], 1]
+    mujoco.mj_step(model, data, nstep=3000)
+    names = [model.joint(i).name for i in range(model.njnt)]
+    return dict(zip(names, data.qpos.tolist(), strict=True))
+
+
+def test_a_stiff_bar_stops_what_leads(tmp_path: Path) -> None:
+    """Limits of a bar leave a third of the range: no body can move on."""
+    text = four_bars(high=0.5)
+    _, end = _limits(_converted(tmp_path, text), "index_proximal")
+    assert end < 0.5 * 1.2
+    reached = _pulled(mujoco.MjModel.from_xml_string(text), rotor=1e-3)
+    assert reached["index_proximal"] == pytest.approx(end, abs=0.15)
+
+
 def test_a_rough_rule_of_a_bar_makes_no_finger() -> None:
     """A bar beside a finger, which the same joint drives, ends on it in the middle of its range.
 

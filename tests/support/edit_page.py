@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
+import numpy as np
 import pytest
 from browser import Browser, find_chromium
+from patience import wait_until
+from repair import label_of
+
+from handmap_qp.apps.onboarding.editor import HandEditor
+from handmap_qp.se3 import quat_wxyz_from_rotation, rotation_from_quat_wxyz
 
 
 def chromium() -> str:
@@ -62,6 +69,69 @@ class Page:
         self.click(
             "[role=option]", f"e => {is_shown} && e.innerText.trim() == '{name}'"
         )
+
+
+class Clicks:
+    """An `Operator` of the page in a browser.
+
+    Args:
+        page: The page.
+        editor: What serves it.
+    """
+
+    def __init__(self, page: Page, editor: HandEditor) -> None:
+        self.page = page
+        self.editor = editor
+
+    @property
+    def clicks(self) -> int:
+        """Number of clicks so far."""
+        return self.page.clicks
+
+    def add_clicks(self, count: int) -> None:
+        """Count clicks that are made otherwise."""
+        self.page.clicks += count
+
+    def press(self, name: str) -> None:
+        """Press a button, and wait until the description is another one."""
+        self._and_wait(lambda: self.page.press(label_of(name)))
+
+    def turn(self, axis: str) -> None:
+        """Press one of the buttons of a quarter turn."""
+        self._and_wait(lambda: self.page.press(axis))
+
+    def choose(self, label: str, entry: str) -> None:
+        """Choose an entry of the list with a label."""
+        self.page.choose_in(label, entry)
+
+    def drag_rings(self, axes: np.ndarray) -> None:
+        """Turn the palm's axes by the rings: as they are where a user lets go."""
+        editor = self.editor
+        wait_until(self._are_rings_drawn, "the rings are not at the palm")
+        palm = editor.hand.spec.palm.link
+        (pose,) = editor.hand.link_poses([palm], editor._q)
+        editor.rings.wxyz = quat_wxyz_from_rotation(pose[:3, :3] @ axes)
+        self._and_wait(lambda: editor._press("axes", None))
+        self.add_clicks(1)
+
+    def _are_rings_drawn(self) -> bool:
+        """Return whether the rings are where the last correction put the palm."""
+        editor = self.editor
+        started = editor.gestures._started
+        turn = editor.hand.frame_pose("palm", editor._q)[:3, :3]
+        shown = rotation_from_quat_wxyz(np.array(editor.rings.wxyz))
+        is_newest = started is not None and started[0] is editor.found
+        return is_newest and bool(np.allclose(shown, turn, atol=1e-3))
+
+    def save(self) -> None:
+        """Press Save, and wait until the file is written."""
+        self.page.press("Save")
+        wait_until(self.editor.out.is_file, "nothing is saved")
+
+    def _and_wait(self, act: Callable[[], None]) -> None:
+        before = self.editor.found
+        act()
+        wait_until(lambda: self.editor.found is not before, "nothing is corrected")
 
 
 def is_asked(browser: Browser, y: float) -> bool:

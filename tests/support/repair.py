@@ -49,6 +49,9 @@ class Truth:
 class Operator(Protocol):
     """What presses the buttons of the page."""
 
+    def add_clicks(self, count: int) -> None:
+        """Count clicks that are made otherwise."""
+
     def press(self, name: str) -> None:
         """Press a button."""
 
@@ -79,6 +82,10 @@ class Requests:
         editor = self.editor
         editor.tick()
         wait_until(lambda: editor.tick() or not editor._search.is_busy)
+
+    def add_clicks(self, count: int) -> None:
+        """Count clicks that are made otherwise."""
+        self.clicks += count
 
     def press(self, name: str) -> None:
         """Press a button."""

@@ -119,6 +119,7 @@ class Anatomy:
         sure: The confidence in them by what they are.
         hypothesis: What all evidence says of it.
         ranking: All that was compared, the one with most evidence first.
+        runner_up: The next one, if it has nearly as much evidence.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class Anatomy:
         self.flexion = flexion = parts.flexion
         self._values: dict[str, float] = {}
         self.ranking: tuple[Hypothesis, ...] = ()
+        self.runner_up: Hypothesis | None = None
         # The thumb, if there are several fingers, and the other ones.
         known = assumed if thumb is None else thumb
         names, labels = parts.names, parts.labels
@@ -255,6 +257,7 @@ def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
     best.ranking = tuple(ranking)
     following = next((one for one in ranking if mine.differences(one)), None)
     if following and (note := mine.doubt(following)):
+        best.runner_up = following
         best.notes.append(note)
     return best
 

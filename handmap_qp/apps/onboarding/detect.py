@@ -28,6 +28,7 @@ from handmap_qp.hands import (
     ball_in,
 )
 from .anatomy import Anatomy, find_anatomy
+from .hypotheses import Hypothesis
 from .robot import Robot
 from .structure import Clue, RobotFinger, find_palms, find_structure, passed_over
 from .two_hands import PairedSide, paired_sides
@@ -56,12 +57,16 @@ class Detection(NamedTuple):
         clues: Evidence for each part of it.
         notes: Assumptions and omissions.
         chains: Joints that move each finger, its own and their leaders, by the finger's name.
+        runner_up: The next hypothesis of what it is, if it has nearly as much evidence.
+        other_roots: Palms of other hands of the robot, if nobody chose one.
     """
 
     spec: HandSpec
     clues: tuple[Clue, ...]
     notes: Names
     chains: dict[str, Names]
+    runner_up: Hypothesis | None = None
+    other_roots: Names = ()
 
     def doubted(self, findings: Iterable[Any]) -> "Detection":
         """Return the detection with clues that are guesses where a finding contradicts them."""
@@ -143,6 +148,7 @@ def detect(
     side: Side | None = None,
     thumb: str | None = None,
     name: str | None = None,
+    paired: PairedSide | None = None,
 ) -> Detection:
     """Find a hand in a URDF.
 
@@ -155,11 +161,12 @@ def detect(
         side: The hand's side; detected if omitted.
         thumb: A link or joint of the thumb; detected if omitted.
         name: The hand's name; that of the robot if omitted.
+        paired: The side by the other hand of the robot, if there is one.
 
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
-    return _detect(urdf, text, root, base, side, thumb, name)
+    return _detect(urdf, text, root, base, side, thumb, name, paired=paired)
 
 
 def _detect(
@@ -211,7 +218,8 @@ def _detect(
     chains = {
         finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
-    return Detection(spec, tuple(hand.clues), tuple(notes), chains)
+    clues = tuple(hand.clues)
+    return Detection(spec, clues, tuple(notes), chains, hand.runner_up)
 
 
 def _describe(

@@ -82,7 +82,8 @@ def _wrong(hand: Hand) -> list[str]:
 def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:
     """Return a detection with another description, and the evidence for what stays the same.
 
-    Evidence with the names `known` is left out too. Chains stay if the fingertips are the same.
+    Evidence with the names `known` is left out too. Chains stay if the fingertips are the same, the
+    next hypothesis if palm and side are too.
     """
     before, after = map(_values, (found.spec, spec))
     clues = tuple(
@@ -91,7 +92,9 @@ def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:
         if clue.what not in known and before.get(clue.what) == after.get(clue.what)
     )
     chains = found.chains if before.keys() == after.keys() else {}
-    return found._replace(spec=spec, clues=clues, chains=chains)
+    is_same = chains and (spec.palm, spec.side) == (found.spec.palm, found.spec.side)
+    runner_up = found.runner_up if is_same else None
+    return found._replace(spec=spec, clues=clues, chains=chains, runner_up=runner_up)
 
 
 def with_other_side(hand: Hand) -> HandSpec:

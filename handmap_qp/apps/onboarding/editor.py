@@ -35,6 +35,7 @@ from handmap_qp.hands import (
 )
 from . import edit
 from .background import Background
+from .choices import first_question
 from .detect import Detection
 from .finger_permutation import all_tips, exchanged, left_out, with_names
 from .gesture_tab import GestureTab
@@ -79,10 +80,11 @@ class HandsEdit:
     Shows the hand, and gestures of the package's recording as they are mapped to it, with scores.
     Turn the palm's axes, name the fingers or leave some out, drag tips, move the joints to where
     the hand rests. What you give is held, and the rest is found again: the side follows the turned
-    axes, the axes follow another thumb. Where it is uncertain to which side a fist closes, choose
-    the picture of one. Save writes the hand.yaml, with comments. The hand of a URDF or MJCF file is
-    described first, as by `handmap hands init`; of several hands the first one, and a list of roots
-    leads to the others.
+    axes, the axes follow another thumb. Where another thumb, side or palm has nearly as much
+    evidence, or it is uncertain to which side a fist closes, choose one of two pictures. Save
+    writes the hand.yaml, with comments. The hand of a URDF or MJCF file is described first, as by
+    `handmap hands init`; of several hands the first one, and the pictures or a list of roots lead
+    to the others.
 
     Examples:
         handmap hands edit my_hand/hand.yaml --open
@@ -155,31 +157,21 @@ class HandEditor:
         self._search = Background[Detection]()
         # What the user has given: it is not derived again.
         self._held = Held()
-        certainty = {clue.what: clue.certainty for clue in found.clues}
-        is_unsure = certainty.get("dorsal", "certain") != "certain"
-        # Number of the pair of palms to choose from; None without a question.
-        self._question: int | None = 0 if is_unsure else None
+        # Number of the pair of hands to choose from; None without a question.
+        self._question = first_question(found)
         self._take(found)
         self._roots = _roots(self.hand)
+        server.gui.reset()
+        self._add_controls()
         self._build()
 
     # -- the page
 
-    def _build(self) -> None:
-        """Make the page of the hand: another hand has other joints and fingers."""
-        self._page = _page_of(self.hand)
-        server = self._server
-        self._gui.reset()
-        server.scene.reset()
-        self._named: dict[str, str] = {}
-        self._spare = left_out(self.found.spec)
-        self._add_controls()
-        self._scene = HandScene(server, None, [self._shown(self.hand.rest)])
-        self._add_handles(server.scene)
-        self._show()
-
     def _add_controls(self) -> None:
-        """Add controls, fingers and joints on the left, room for gestures on the right."""
+        """Add controls, fingers and joints on the left, room for gestures on the right.
+
+        Their buttons stay as long as the page: viser drops clicks on a control that was removed.
+        """
         gui = self._gui
         gui.main_panel.dock_left()
         panel = gui.add_panel()
@@ -189,27 +181,64 @@ class HandEditor:
         self.message = controls.message
         self.status = controls.status
         self.gestures = GestureTab(gui, tab, self.status, self._press)
-        hand = self.hand
-        with gui.add_folder("fingers"):
-            tips = all_tips(hand)
-            options = list(dict.fromkeys([*FINGERS, *tips, _NONE]))
-            links = [*(tip.link for tip in tips.values()), *self._spare]
-            self.names: dict[str, Any] = {
-                link: gui.add_dropdown(link, options, initial_value=_NONE)
-                for link in links
-            }
-            add_controls(gui, "naming", self._press)
+        self.names: dict[str, Any] = {}
+        self._fingers = gui.add_folder("fingers")
+        with self._fingers:
+            (self._naming,) = add_controls(gui, "naming", self._press)
         with gui.add_folder("root and palm", expand_by_default=False):
-            palm = self.found.spec.palm.link
-            self.palm = gui.add_dropdown("palm", palm_links(hand), initial_value=palm)
-            root = self.found.spec.root or self._roots[0]
-            roots = dict.fromkeys([*self._roots, root])
-            self.root = gui.add_dropdown("root", [*roots], initial_value=root)
+            self.palm = gui.add_dropdown("palm", [self.found.spec.palm.link])
+            self.root = gui.add_dropdown("root", self._roots)
             add_controls(gui, "placing", self._press)
+        self.joints: list[Any] = []
+        self._sliders = gui.add_folder("joints")
+
+    def _build(self) -> None:
+        """Make the page of the hand: another hand has other joints and fingers."""
+        self._page = _page_of(self.hand)
+        spec = self.found.spec
+        self._server.scene.reset()
+        self._named: dict[str, str] = {}
+        self._spare = left_out(spec)
+        self._list_fingers()
+        self.palm.options = palm_links(self.hand)
+        root = spec.root or self._roots[0]
+        self.root.options = [*dict.fromkeys([*self._roots, root])]
+        self.root.value = root
+        self._add_sliders()
+        self._scene = HandScene(self._server, None, [self._shown(self.hand.rest)])
+        self._add_handles(self._server.scene)
+        self._show()
+
+    def _list_fingers(self) -> None:
+        """Add a list of names for each fingertip; those of tips that stay are kept."""
+        tips = all_tips(self.hand)
+        links = [*(tip.link for tip in tips.values()), *self._spare]
+        options = [*dict.fromkeys([*FINGERS, *tips, _NONE])]
+        for link in self.names.keys() - {*links}:
+            self.names.pop(link).remove()
+        boxes = dict[str, Any]()
+        for link in links:
+            box = self.names.get(link)
+            if box is None:
+                with self._fingers:
+                    box = self._gui.add_dropdown(link, options, initial_value=_NONE)
+            box.options = options
+            if link in self._spare:
+                box.value = _NONE
+            # The button that applies the names comes last.
+            box.order = self._naming.order - 1.0 + len(boxes) / len(links)
+            boxes[link] = box
+        self.names = boxes
+
+    def _add_sliders(self) -> None:
+        """Add a slider for each joint, in the place of those of another hand."""
+        hand = self.hand
+        for slider in self.joints:
+            slider.remove()
         ranges = np.vstack([hand.limits, hand.rest]).T.tolist()
-        with gui.add_folder("joints"):
+        with self._sliders:
             self.joints = [
-                gui.add_slider(name, low, high, _STEP, rest)
+                self._gui.add_slider(name, low, high, _STEP, rest)
                 for name, (low, high, rest) in zip(
                     hand.joint_names, ranges, strict=True
                 )
@@ -290,7 +319,6 @@ class HandEditor:
     def _act(self, request: str, which: Any) -> None:
         """Carry out a request."""
         hand = self.hand
-        spec = hand.spec
         match request:
             case "save":
                 write_hand(self.found, self.out)
@@ -305,24 +333,31 @@ class HandEditor:
             case "root":
                 self._look_from(self.root.value)
                 return
-        known = ("dorsal", "side") if request == "left" else ()
-        found = self.found
-        if request in (*_TURNS, "axes", "left", "right"):
+            case "left" | "right":
+                self._choose(request)
+                return
+        if request in (*_TURNS, "axes"):
             self._held = self._held._replace(axes=True)
-        if request in ("left", "right"):
-            spec = self._chosen(request)
-        elif request in _TURNS:
+        if request in _TURNS:
             turn: Turn = which if request == "quarter" else _TURNS[request]
             spec = with_turn(hand, turn, self._held)
         else:
             spec = self._corrected(request, which)
-        self._take(edit.corrected(found, spec, *known))
+        self._take(edit.corrected(self.found, spec))
 
-    def _chosen(self, which: str) -> HandSpec:
-        """Return the palm of the picture that was chosen, and end the question."""
-        pair = self.gestures.pair
-        self._question = None
-        return pair[which == "right"] if pair else self.hand.spec
+    def _choose(self, which: str) -> None:
+        """Take the hand of the picture that was chosen, and ask what is uncertain then."""
+        asked = self.gestures.question
+        if asked is None:
+            return
+        chosen = asked.choices[which == "right"]
+        self._take(chosen)
+        if asked.is_reading:
+            self._held = Held()
+            self._question = first_question(chosen)
+        else:
+            self._held = self._held._replace(axes=True)
+            self._question = None
 
     def _corrected(self, request: str, which: Any) -> HandSpec:
         """Return the description with one correction."""

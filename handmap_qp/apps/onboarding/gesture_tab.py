@@ -1,4 +1,4 @@
-"""The tab of the page with gestures as they are mapped, and with pictures to choose the palm by."""
+"""The tab of the page with gestures as they are mapped, and with pictures to choose a hand by."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -8,24 +8,14 @@ import numpy as np
 from handmap_core.errors import HandmapError
 from handmap_core.se3 import Array, Arrays
 from handmap_qp.apps.viewer.controls import add_controls, say
-from handmap_qp.hands import HandSpec, load_hand
+from handmap_qp.hands import load_hand
 from .background import Background
+from .choices import Question, question
 from .detect import Detection
-from .edit import with_other_palm
 from .gestures import draw_gestures
-from .palm_turns import Turn, with_turn
 
-Pair = tuple[HandSpec, HandSpec]
-# Turns of the palm by which the hypotheses of a pair differ from the description; the first pair is
-# the description itself and the other hand that the thumb's place allows.
-_PAIRS: tuple[tuple[Turn, ...], ...] = (
-    ("y", "dorsal"),
-    ("distal", "dorsal"),
-    ("x", "dorsal"),
-    ("z", "distal"),
-)
-PAIRS = 1 + len(_PAIRS)
-"""Pairs of hypotheses, which `neither` leads through."""
+# Stands for a picture that is not drawn yet.
+_BLANK = np.ones((1, 1, 3))
 
 
 class Drawn(NamedTuple):
@@ -34,30 +24,14 @@ class Drawn(NamedTuple):
     Attributes:
         pictures: Pictures by gesture, as of `draw_gestures`.
         scores: Scores in words.
-        fists: Pictures of a fist of both hypotheses, side by side, if they are asked for.
-        pair: The hypotheses.
+        asked: Pictures of both choices of a question, side by side, if there is one.
+        question: The question.
     """
 
     pictures: Arrays
     scores: str
-    fists: Array | None
-    pair: Pair | None
-
-
-def hypotheses(spec: HandSpec, number: int) -> Pair:
-    """Return two descriptions with different palms.
-
-    Args:
-        spec: The description.
-        number: Which pair, from 0 on: the description and its palm turned over, then quarter turns
-            about the direction of the fingers, then the fingers in other directions.
-    """
-    hand = load_hand(spec)
-    if number % PAIRS == 0:
-        return spec, with_other_palm(hand)
-    first, second = _PAIRS[number % PAIRS - 1]
-    one = with_turn(hand, first)
-    return one, with_turn(load_hand(one), second)
+    asked: Array | None
+    question: Question | None
 
 
 class GestureTab:
@@ -70,7 +44,7 @@ class GestureTab:
         press: Called with the name of a button of the choice, and the browser's handle.
 
     Attributes:
-        pair: The hypotheses that are shown; None if there is no question.
+        question: The question that is shown; None without one.
         drawn: Number of descriptions that were mapped and shown.
     """
 
@@ -78,21 +52,30 @@ class GestureTab:
         self, gui: Any, tab: Any, status: Any, press: Callable[[str, Any], object]
     ) -> None:
         self._gui = gui
-        self._tab = tab
         self._status = status
-        self._press = press
         self._work = Background[Drawn]()
         self._started: tuple[Detection, int | None] | None = None
-        self._folder: Any = None
-        self.pair: Pair | None = None
+        self.question: Question | None = None
         self.drawn = 0
+        # All controls stay as long as the page: viser drops clicks on one that was removed.
+        self._pictures: dict[str, Any] = {}
+        with tab:
+            self._folder = gui.add_folder("as mapped", visible=False)
+        with self._folder:
+            self._scores = gui.add_markdown("")
+            self._asked = gui.add_image(_BLANK, label="", visible=False)
+            self._caption = gui.add_markdown("", visible=False)
+            self._choices = add_controls(gui, "choosing", press)
+        for button in self._choices:
+            button.visible = False
 
     def update(self, found: Detection, question: int | None) -> None:
         """Show what was mapped, and map the description if it is another one; call it often.
 
         Args:
             found: The description.
-            question: Number of the pair of hypotheses to choose from; None to ask nothing.
+            question: Number of the pair to choose from, as in `choices.question`; None to ask
+                nothing.
         """
         if self._work.is_busy:
             outcome = self._work.take()
@@ -117,34 +100,44 @@ class GestureTab:
         self.drawn += 1
         if isinstance(outcome, HandmapError):
             say(self._status, outcome)
-            self.pair = None
+            self.question = None
             return
         say(self._status, None)
-        gui = self._gui
-        if self._folder is not None:
-            self._folder.remove()
-        with self._tab:
-            self._folder = gui.add_folder("as mapped")
-        self.pair = outcome.pair
-        with self._folder:
-            gui.add_markdown(outcome.scores)
-            if outcome.fists is not None:
-                gui.add_image(outcome.fists, label="Which picture is a fist?")
-                add_controls(gui, "choosing", self._press)
-            for name, picture in outcome.pictures.items():
-                gui.add_image(np.hstack([*picture]), label=name)
+        self._folder.visible = True
+        self._scores.content = outcome.scores
+        self._ask(outcome.question, outcome.asked)
+        for name in self._pictures.keys() - outcome.pictures.keys():
+            self._pictures[name].visible = False
+        for name, both in outcome.pictures.items():
+            if name not in self._pictures:
+                with self._folder:
+                    self._pictures[name] = self._gui.add_image(_BLANK, label=name)
+            self._pictures[name].image = np.hstack([*both])
+            self._pictures[name].visible = True
+
+    def _ask(self, asked: Question | None, picture: Array | None) -> None:
+        """Show a question with its pictures and buttons, or none."""
+        self.question = asked
+        is_asked = asked is not None and picture is not None
+        if asked is not None and picture is not None:
+            self._asked.label = asked.text
+            self._asked.image = picture
+        say(self._caption, asked.caption if asked else None)
+        for handle in (self._asked, *self._choices):
+            handle.visible = is_asked
 
 
-def _draw(found: Detection, question: int | None) -> Drawn:
-    """Map the gestures, and the fist of both hypotheses."""
+def _draw(found: Detection, number: int | None) -> Drawn:
+    """Map the gestures, and those of both choices of a question."""
     pictures, scores = draw_gestures(load_hand(found.spec))
-    if question is None:
+    if number is None:
         return Drawn(pictures, scores, None, None)
-    pair = hypotheses(found.spec, question)
-    fists = []
-    for spec in pair:
+    asked = question(found, number)
+    columns = []
+    for choice in asked.choices:
         shown = pictures
-        if spec is not found.spec:
-            shown, _ = draw_gestures(load_hand(spec))
-        fists.append(shown["fist"][1])
-    return Drawn(pictures, scores, np.hstack(fists), pair)
+        if choice.spec != found.spec:
+            shown, _ = draw_gestures(load_hand(choice.spec))
+        rows = [shown[name][1] for name in asked.gestures if name in shown]
+        columns.append(np.vstack(rows))
+    return Drawn(pictures, scores, np.hstack(columns), asked)

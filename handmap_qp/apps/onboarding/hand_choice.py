@@ -22,6 +22,8 @@ from handmap_qp.hands import (
 from .detect import Detection, detect
 from .edit import described
 from .robot import Robot, carriers
+from .structure import find_palms
+from .two_hands import PairedSide, paired_sides
 from .write import RobotSource, open_source
 
 
@@ -88,25 +90,32 @@ def first_hand(urdf: Path) -> Detection:
     try:
         return detect(urdf)
     except HandError as error:
-        for root in possible_roots(urdf)[1:]:
+        palms = find_palms(Robot(urdf))
+        for root in dict.fromkeys([*palms, *possible_roots(urdf)[1:]]):
             with suppress(HandError):
-                found = detect(urdf, root=root)
+                found = detect(urdf, root=root, paired=_paired_side(urdf, root))
                 # A single finger is part of a hand that was not found.
                 if len(found.chains) < 2:
                     continue
                 note = f"the hand at {root} was taken: {error.problem}"
-                return found._replace(notes=(note, *found.notes))
+                others = tuple(link for link in palms if link != root)
+                return found._replace(
+                    notes=(note, *found.notes), other_roots=others * (root in palms)
+                )
         raise
 
 
 def at_root(
-    found: Detection, root: str, side: Side | None = None, thumb: str | None = None
+    found: Detection,
+    root: str | None,
+    side: Side | None = None,
+    thumb: str | None = None,
 ) -> Detection:
     """Find the hand of a description again from another root on; all else is derived again.
 
     Args:
         found: The description.
-        root: The link at which the hand begins.
+        root: The link at which the hand begins; that of the URDF if None.
         side: The side, if it is given.
         thumb: A link or joint of the thumb, if it is given.
 
@@ -115,8 +124,23 @@ def at_root(
     """
     spec = found.spec
     urdf = urdf_path(spec)
-    again = detect(urdf, root=root, side=side, thumb=thumb, name=spec.name)
+    paired = _paired_side(urdf, root)
+    again = detect(
+        urdf, root=root, side=side, thumb=thumb, name=spec.name, paired=paired
+    )
     return described(again, _source(spec, urdf))
+
+
+def _paired_side(urdf: Path, root: str | None) -> PairedSide | None:
+    """Return the side of one of a robot's two hands by the other one; None without another."""
+    if root is None:
+        return None
+    robot = Robot(urdf)
+    palms = find_palms(robot)
+    if len(palms) != 2 or root not in palms:
+        return None
+    pair = paired_sides(robot, (palms[0], palms[1]))
+    return pair[palms.index(root)] if pair else None
 
 
 def _source(spec: HandSpec, urdf: Path) -> RobotSource:

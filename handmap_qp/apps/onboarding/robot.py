@@ -25,12 +25,15 @@ from handmap_qp.hands import (
     USUAL_SPEEDS,
     Hand,
     HandSpec,
+    Interval,
     LimitSpec,
+    MimicSpec,
     PalmSpec,
     PointSpec,
     WristSpec,
     check_tree,
     child_of,
+    clipped_rule,
     cut_subtree,
     edges,
     fix_free_joints,
@@ -38,6 +41,7 @@ from handmap_qp.hands import (
     joints_by_name,
     mimics_of,
     parse_urdf,
+    resolve_rule,
     root_links,
 )
 from handmap_qp.trackers import first_of
@@ -148,6 +152,8 @@ class Robot(Hand):
             )
         followers = rules.keys() - lost
         limits, locked = self._assume_limits(joints, followers)
+        kept = {name: rules[name] for name in joints if name in followers}
+        bent = self._rules_within_limits(joints, kept, limits)
         still = followers | locked.keys()
         active = tuple(name for name in joints if name not in still)
         if not active:
@@ -166,7 +172,7 @@ class Robot(Hand):
             reference="root",
             locked=locked,
             limits=limits,
-            mimic=dict.fromkeys(lost),
+            mimic={**dict.fromkeys(lost), **bent},
         )
 
     def _take_postures(self) -> None:
@@ -265,6 +271,35 @@ class Robot(Hand):
 
     # -- assumptions
 
+    def _rules_within_limits(
+        self,
+        joints: dict[str, Element],
+        rules: dict[str, MimicSpec],
+        limits: dict[str, LimitSpec],
+    ) -> dict[str, MimicSpec]:
+        """Return other rules of followers whose limits would leave a leader too little range.
+
+        Those whose limits contradict the rule in all of that range keep it: a sign is wrong.
+
+        Args:
+            joints: Elements of movable joints, by their names.
+            rules: Rules by follower, whose leaders are among these joints.
+            limits: Limits in place of those of the URDF.
+        """
+        found = dict[str, MimicSpec]()
+        for name in rules:
+            rule = resolve_rule(name, rules)
+            own = _range_of(joints[name], None)
+            leader = _range_of(joints[rule.joint], limits.get(rule.joint))
+            if other := clipped_rule(rule, own, leader):
+                found[name] = other
+                self._remark(
+                    name,
+                    "is at a limit of its own in most of its leader's range: so that the leader "
+                    "keeps its range, it follows on a line between both ends, under `mimic`",
+                )
+        return found
+
     def _assume_limits(
         self, joints: dict[str, Element], followers: set[str]
     ) -> tuple[dict[str, LimitSpec], dict[str, float]]:
@@ -298,6 +333,14 @@ class Robot(Hand):
             if speed or ends:
                 limits[name] = LimitSpec(*ends, velocity=speed)
         return limits, locked
+
+
+def _range_of(joint: Element, limit: LimitSpec | None) -> Interval:
+    """Return a joint's limits, those of the description before those of the URDF."""
+    _, low, high, _ = _limits(joint)
+    if limit and limit.lower is not None and limit.upper is not None:
+        low, high = limit.lower, limit.upper
+    return Interval(low, high)
 
 
 def _locked_advice(locked: Mapping[str, float]) -> str:

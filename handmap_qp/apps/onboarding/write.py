@@ -69,7 +69,8 @@ _ABOVE = {
     "locked": "Locked joints and their positions [rad or m].",
     "limits": "Limits that the URDF lacks, and speeds in place of its own [rad or m, and per s].",
     "speeds": "Where the speed limits are from: urdf, maker, given, estimated or assumed.",
-    "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
+    "mimic": "Rules in place of the URDF's; null makes a joint independent that mimics one outside "
+    "this part of the robot.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
     "tuning": "What `handmap calibrate-actuators` found of this hand and its motors [rad, s, m].",
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
