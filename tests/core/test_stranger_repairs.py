@@ -117,10 +117,9 @@ def test_wrong_descriptions_of_other_makers_are_repaired(
         pytest.skip("no description is wrong")
     table = "\n".join([f"{sum(repaired)} of {len(repaired)} repaired", *rows])
     print(table)
-    if operators is clicks_of and sum(repaired) < len(repaired):
-        # Setting the rings from here does not yet do what a drag in the browser does.
-        pytest.xfail(table)
-    assert sum(repaired) >= 0.7 * len(repaired), table
+    # Rings are not dragged in the browser here, and what needs them stays wrong.
+    least = 0.5 if operators is clicks_of else 0.7
+    assert sum(repaired) >= least * len(repaired), table
 
 
 def repaired_stranger(
