@@ -9,7 +9,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-BACKGROUND = {"benchmarks", "dependencies", "reading", "release", "score", "theory"}
+BACKGROUND = {
+    "benchmarks",
+    "dependencies",
+    "measurements",
+    "reading",
+    "release",
+    "score",
+    "simulation_results",
+    "theory",
+}
 """Pages for those who change the package, or check its figures."""
 PAGES = [
     ROOT / "README.md",
