@@ -23,7 +23,6 @@ BACKGROUND = {
 PAGES = [
     ROOT / "README.md",
     *(page for page in sorted(DOCS.glob("*.md")) if page.stem not in BACKGROUND),
-    *sorted((DOCS / "motors").glob("*.md")),
     *sorted((DOCS / "trackers").glob("*.md")),
 ]
 PRIVATE = {
