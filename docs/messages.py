@@ -123,6 +123,7 @@ FLAGS = {
     "released": "the robot is disengaged and holds until `engage`, whatever `status` says",
     "stopped": "an emergency stop is in force, until `clear`",
     "busy": "the server has no time for the samples of this session, so the robot holds",
+    "off_object": "a finger that touches the held object is more than 10 mm off its place on it",
 }
 """Flags of a command, besides the rule that a sample broke."""
 

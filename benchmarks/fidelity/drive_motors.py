@@ -1,9 +1,9 @@
 """Measure `handmap drive` from a recording to the joints of emulated motors.
 
 The motors are `handmap_drive.emulator`: a LEAP hand with Dynamixel or Feetech servos, an Inspire
-and an Ability hand, whose joints lag by 30 ms. Prints the tables of docs/drive.md: following and
-pinches on a bus that is good, slow or bad, and how long a stop takes to reach the motors. All
-processes share one machine, with what else runs on it.
+and an Ability hand, whose joints lag by 30 ms. Prints the tables of docs/measurements.md:
+following and pinches on a bus that is good, slow or bad, and how long a stop takes to reach the
+motors. All processes share one machine, with what else runs on it.
 
     python benchmarks drive_motors
     python benchmarks drive_motors --motors dynamixel --stops 20

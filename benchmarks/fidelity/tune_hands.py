@@ -1,4 +1,4 @@
-"""Measure `handmap calibrate-actuators` on simulated hands: the table of docs/tune.md.
+"""Measure `handmap calibrate-actuators` on simulated hands: the table of docs/measurements.md.
 
 Each hand is tuned in simulated time; then it follows recordings, mapped by the default
 teleoperation, as told and compensated. Gain .8 to 1.1, zero 1 degree, delay 20 to 120 ms, backlash

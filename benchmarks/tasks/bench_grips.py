@@ -21,7 +21,8 @@ stopped leaves what it has found.
 Two of the twelve recordings are closings of a fist, which `handmap simulate` refuses. They are kept
 so that figures stay comparable; --no-fists leaves them out.
 
-Seeds 0 to 99 are for work. The tables of docs/simulation.md have seeds that were looked at once.
+Seeds 0 to 99 are for work. The tables of docs/simulation_results.md have seeds that were looked at
+once.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class WristSpec(Document, frozen=True):
 
 
 class CollisionSpec(Document, frozen=True):
-    """Links of the hand that self-collision avoidance keeps apart, where it is asked for.
+    """Links of the hand that self-collision avoidance keeps apart, where it is on.
 
     Attributes:
         pairs: Pairs of URDF links that have collision shapes.

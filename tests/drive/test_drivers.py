@@ -841,14 +841,23 @@ def test_no_torque_before_its_limit_has_arrived(kind: str, tmp_path: Path) -> No
         np.testing.assert_allclose(emulator.order()["limit"][:2], 0.1, atol=1e-3)
 
 
-@pytest.mark.parametrize("page", ["dynamixel", "inspire", "ability"])
-def test_the_lines_of_a_page_find_the_motors(
-    page: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("bus", "own", "robot"),
+    [
+        ("dynamixel", "leap", "leap_right"),
+        ("inspire", "inspire_right", "inspire_right"),
+        ("ability", "ability", "ability_right"),
+    ],
+)
+def test_the_lines_of_the_page_find_the_motors(
+    bus: str, own: str, robot: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (Path(__file__).parents[2] / f"docs/motors/{page}.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "first_motor.md").read_text("utf-8")
     _, _, rest = text.partition("```python\n")
     lines, _, _ = rest.partition("```")
-    with MotorThread(page, 16) as emulator:
+    assert '"leap", "leap_right"' in lines
+    lines = lines.replace('"leap", "leap_right"', f'"{own}", "{robot}"')
+    with MotorThread(bus, 16) as emulator:
         try:
             exec(lines.replace("/dev/ttyUSB0", emulator.port), names := {})
         except HandmapError as error:
