@@ -300,6 +300,9 @@ def test_a_recipe_for_conda_needs_what_the_package_needs(
         for step in steps_with(jobs("tests")["conda"], "prefix-dev/")
     ]
     assert f"conda/{recipe}/recipe.yaml" in used
+    # rattler-build knows no C library by itself.
+    if '${{ stdlib("c") }}' in content["requirements"].get("build", []):
+        assert "c_stdlib" in parsed(f"conda/{recipe}/variants.yaml")
 
 
 def test_the_image_is_built_of_files_that_exist() -> None:
