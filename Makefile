@@ -49,7 +49,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test full fast lint docs wheel lowest paths bench strangers judges peers lock clean
+.PHONY: help demo test full fast lint docs site wheel lowest paths bench strangers judges peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -86,6 +86,14 @@ lint: $(INSTALLED) ## Check style (ruff), types (ty), who imports whom (import-l
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
+
+# mike keeps one folder for each minor version, and `latest`, on the branch gh-pages.
+SITE_VERSION := $(shell sed -nE 's/^version = "([0-9]+\.[0-9]+).*/\1/p' pyproject.toml)
+site: $(INSTALLED) ## Commit the site of this version to the branch gh-pages; ARGS=--push publishes it
+	@$(PIP) install -qq 'mike>=2.1,<3'
+	@PATH="$(CURDIR)/$(BIN):$$PATH" PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 \
+	    $(BIN)/mike deploy --alias-type copy --update-aliases $(ARGS) $(SITE_VERSION) latest
+	@$(BIN)/mike set-default $(ARGS) latest
 
 wheel: $(INSTALLED) ## Build the wheels of all packages and the sdists in dist, with a bill of materials and all licences
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation

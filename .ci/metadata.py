@@ -1,6 +1,6 @@
 """hatchling's hook for metadata that depends on where the package is built.
 
-GitHub Actions names the repository by GITHUB_SERVER_URL and GITHUB_REPOSITORY. There, the long
+In GitHub Actions the address of the repository is known (`.ci/addresses.py`). There, the long
 description shows the pictures of the tag that is built, and the project has its addresses. A build
 elsewhere knows no address, and a package index shows no relative ones: pictures are left out, and
 links to files become their text.
@@ -8,8 +8,8 @@ links to files become their text.
 
 from __future__ import annotations
 
-import os
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +23,13 @@ class Metadata(MetadataHookInterface):
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Set both from README.md and the environment."""
-        server, repository = (
-            os.environ.get(f"GITHUB_{name}", "")
-            for name in ("SERVER_URL", "REPOSITORY")
-        )
-        address = f"{server}/{repository}" if server and repository else ""
+        pages = runpy.run_path(str(Path(self.root) / ".ci" / "addresses.py"))
+        address = pages["repository"]()
         readme = (Path(self.root) / "README.md").read_text(encoding="utf-8")
         text = long_description(readme, address, f"v{metadata['version']}")
         metadata["readme"] = {"content-type": "text/markdown", "text": text}
         if address:
-            metadata["urls"] = addresses(address)
-
-
-def addresses(address: str) -> dict[str, str]:
-    """Return the pages of a repository by the labels that package indexes know."""
-    pages = {"Source": "", "Issues": "/issues", "Changelog": "/blob/main/CHANGELOG.md"}
-    return {label: f"{address}{page}" for label, page in pages.items()}
+            metadata["urls"] = pages["addresses"](address)
 
 
 def long_description(readme: str, address: str, tag: str) -> str:

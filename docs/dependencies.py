@@ -18,6 +18,11 @@ wheel what it needs: `sbom.json`, a software bill of materials (CycloneDX), and 
 the texts. The package itself is under Apache-2.0. Two dependencies are under
 stricter licences: qpsolvers (LGPL), and quadprog (GPL) in the extra `solvers` only.
 
+qpsolvers is imported, not copied, and only by `formulation="mink"`, by a solver other than DAQP and
+by `handmap doctor`. It is not an extra, because mink needs it, and mink also brings the MuJoCo that
+reads MJCF files. If you cannot use packages under the LGPL, install `handmap-core` alone ([a
+robot's computer](run.md)): it needs neither.
+
 | package | needed by | bounds | licence |
 |---|---|---|---|
 """

@@ -25,7 +25,14 @@ WHEELS = ROOT / "build" / "paths"
 LIMIT = 1800.0
 """Longest time of one command [s]."""
 # All that the wheels are made of.
-_SOURCES = ("core", "handmap_qp", "urdf", ".ci/metadata.py", "pyproject.toml")
+_SOURCES = (
+    "core",
+    "handmap_qp",
+    "urdf",
+    ".ci/addresses.py",
+    ".ci/metadata.py",
+    "pyproject.toml",
+)
 _SIZES = """
 from importlib.metadata import distributions
 sizes = {}

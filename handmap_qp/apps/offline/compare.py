@@ -105,7 +105,7 @@ class Compare:
         handmap compare recording.npz --robot allegro_right
         handmap compare *.npz --robot allegro_right --peers --out comparison
         handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
-        handmap compare demo --robot allegro_right --methods teleoperation mine.py:my_joints
+        handmap compare demo --robot allegro_right --methods mine.py:my_joints
         handmap compare demo --robot allegro_right --trajectory q.npz
 
     Attributes:
