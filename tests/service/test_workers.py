@@ -62,8 +62,11 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture
-def clients(server: Server) -> Iterator[list[Client]]:
-    """Four clients with sessions `lab-0` to `lab-3`."""
+def clients(server: Server, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Client]]:
+    """Four clients with sessions `lab-0` to `lab-3`, two in each worker."""
+    # Loads are those of a machine that may do anything else.
+    fewest = property(lambda worker: (0.0, len(worker.sessions)))
+    monkeypatch.setattr("handmap_qp.apps.service.pool._Worker.use", fewest)
     made = [client_of(server) for _ in range(4)]
     for i, client in enumerate(made):
         client.open("three_finger", preset="paper", name=f"lab-{i}", is_shared=i == 1)

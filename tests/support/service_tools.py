@@ -43,7 +43,8 @@ HERE = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 SECRET = "a-secret-of-the-tests"
 PERIOD = 1.0 / 60.0
 RESET = Reset(protocol=PROTOCOL, seq=99)
-LOCAL = Settings(port=0, stream_port=0, health_port=-1)
+# No session is refused because the machine of the tests is busy.
+LOCAL = Settings(port=0, stream_port=0, health_port=-1, max_load=1.0)
 WEB: dict[str, Any] = {"web": True, "web_port": 0}
 """Settings of a server with WebSocket."""
 T = TypeVar("T")
