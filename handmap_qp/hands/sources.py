@@ -232,8 +232,9 @@ def other_kind(content: bytes) -> str:
     """Return what a file is, by its first bytes, and what to do; empty if it may be a robot."""
     if not content.strip():
         return "is empty"
-    # Name of the first file of the archive.
-    if content.startswith(_ZIP) and content[30:][: content[26]].endswith(b".npy"):
+    # Length and name of the first file of the archive, which may be cut short.
+    length = int.from_bytes(content[26:28], "little")
+    if content.startswith(_ZIP) and content[30 : 30 + length].endswith(b".npy"):
         return _ARRAYS
     begins = content.lstrip()[: max(map(len, _OTHER_KINDS))].lower()
     return next(
