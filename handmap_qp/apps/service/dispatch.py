@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
-from logging import ERROR, INFO, WARNING
+from logging import ERROR, WARNING
 from typing import Annotated, Any, Protocol
 
 import msgspec
@@ -46,7 +46,9 @@ from handmap_core.client.messages import (
 from handmap_core.errors import RefusedError
 from handmap_qp.hands import Names
 from .fairness import AccountBuckets
+from .load import LoadMeter
 from .logs import Throttle, report
+from .refused import Refusals
 from .safety import BURST, Bucket, refuse_if
 from .session import Session
 from .sessions import UNKNOWN, Caller, Publish, Sessions
@@ -244,6 +246,11 @@ class Backend(Protocol):
         ...
 
     @property
+    def load(self) -> LoadMeter:
+        """Load of the server's own process."""
+        ...
+
+    @property
     def names(self) -> Names:
         """Public names of the open sessions."""
         ...
@@ -304,7 +311,7 @@ class Dispatcher:
         self._opening = {}
         # The last command of a stream, which mostly is an answer, too.
         self._published: tuple[Command | None, bytes] = (None, b"")
-        self._refusals = Throttle()
+        self._refusals = Refusals(self._metrics)
         self._bugs = Throttle()
         self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
         self._metrics.gauges["uptime_seconds"] = self._uptime
@@ -318,6 +325,11 @@ class Dispatcher:
     def publish(self) -> list[Publish]:
         """Callbacks that receive the messages of all streams."""
         return self.sessions.publish
+
+    @property
+    def load(self) -> LoadMeter:
+        """See `Sessions.load`."""
+        return self.sessions.load
 
     @property
     def names(self) -> Names:
@@ -364,7 +376,7 @@ class Dispatcher:
             return True
         request = decode_request(payload)
         if isinstance(request, Error):
-            send(self._counted(request))
+            send(self._refusals.counted(request))
         else:
             self._carry_out(request, payload, send, subscribe)
         return True
@@ -730,17 +742,7 @@ class Dispatcher:
             self._bugs.report(ERROR, "failed", failure=error)
             message = "the server failed at this request; see its log"
             error = RefusedError("internal", message)
-        return self._counted(
-            Error(seq=seq, code=error.code, message=str(error), field=error.field)
-        )
-
-    def _counted(self, error: Error) -> Error:
-        """Return an error, counted and logged."""
-        self._metrics.refusals[error.code] += 1
-        self._refusals.report(
-            INFO, "refused", code=error.code, field=error.field, message=error.message
-        )
-        return error
+        return self._refusals.answer(seq, error)
 
 
 def _known(load: float) -> float | None:

@@ -64,7 +64,8 @@ from .dispatch import (
     encode_reply,
 )
 from .load import LoadMeter
-from .logs import AuditLog, Metrics, Numbers, Throttle, log, report, resident_bytes
+from .logs import AuditLog, Metrics, Numbers, log, report, resident_bytes
+from .refused import Refusals
 from .safety import Bucket, refuse_if
 from .sessions import UNKNOWN, Caller, Publish, check_names, check_share
 from .settings import Settings
@@ -285,7 +286,7 @@ class WorkerPool:
         self._tokens = 0
         self._peers = lru_cache(_MOST_PEERS)(self._new_peer)
         self._peer_count = 0
-        self._refusals = Throttle()
+        self._refusals = Refusals(metrics)
         self._restarts: set[asyncio.Task[None]] = set()
         self._is_closing = False
         # Numbers of processes that have ended.
@@ -375,7 +376,7 @@ class WorkerPool:
                     worker = self._find(route)
                     self._ask(worker, payload, number, route, answer, by)
         except RefusedError as error:
-            send(self._refused(route.seq, error))
+            send(self._refusals.answer(route.seq, error))
         return True
 
     def receive_from(self, worker: _Worker, message: FromWorker) -> None:
@@ -526,7 +527,7 @@ class WorkerPool:
         """Note a stop of sessions that were lost, whose clients are about to open them again."""
         request = decode_request(payload)
         if isinstance(request, Error):
-            return self._counted(request)
+            return self._refusals.counted(request)
         for name in names:
             record = self._store.records.get(name)
             if record is not None and not record.stop:
@@ -592,7 +593,7 @@ class WorkerPool:
         request = decode_request(payload)
         if not isinstance(request, Open):
             assert isinstance(request, Error)
-            answer(encode_reply(self._counted(request)))
+            answer(encode_reply(self._refusals.counted(request)))
             return
         route = _Route("open", request.seq, request.session, request.name)
         worker = self._placed(request)
@@ -673,19 +674,6 @@ class WorkerPool:
         """Publish a message in the stream of a session."""
         for publish in self.publish:
             publish(name, payload)
-
-    def _refused(self, seq: int, error: RefusedError) -> Error:
-        return self._counted(
-            Error(seq=seq, code=error.code, message=str(error), field=error.field)
-        )
-
-    def _counted(self, error: Error) -> Error:
-        """Return an error, counted and logged."""
-        self._metrics.refusals[error.code] += 1
-        self._refusals.report(
-            INFO, "refused", code=error.code, field=error.field, message=error.message
-        )
-        return error
 
     def _new_peer(self, _peer: Hashable) -> tuple[int, Bucket, Bucket]:
         """Return the number of a connection, and its limits."""

@@ -10,12 +10,9 @@ keys. The server also starts WebSocket and HTTP.
 
 import asyncio
 import contextlib
-import gc
-import importlib
 import json
 import resource
 import signal
-import sys
 from collections.abc import Sequence
 from functools import partial
 from logging import ERROR, INFO
@@ -37,6 +34,7 @@ from .logs import AuditLog, Metrics, Throttle, logs_on_stderr, report
 from .opening import HandCache
 from .pages import serve_metrics
 from .pool import WorkerPool
+from .process import import_early, keep_objects, run_timed
 from .sessions import Caller, Sessions
 from .settings import Settings
 from .store import PostureStore
@@ -358,14 +356,9 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     Raises:
         InvalidInputError: If an address or file cannot be used.
     """
-    # Interval after which a thread that loads a hand yields to the one that answers [s].
-    sys.setswitchinterval(5e-4)
     _raise_file_limit()
-    selector = TimedSelector()
-    # `asyncio.run` would make a selector of its own.
-    runner = asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selector))
-    with logs_on_stderr(log_level), runner:
-        runner.run(_serve(settings, selector))
+    with logs_on_stderr(log_level):
+        run_timed(partial(_serve, settings))
 
 
 async def _serve(settings: Settings, selector: TimedSelector) -> None:
@@ -373,18 +366,14 @@ async def _serve(settings: Settings, selector: TimedSelector) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    # The first hand with meshes would import it, which delays running sessions. Leases count from
-    # when the server is made.
-    importlib.import_module("scipy.spatial")
+    # Leases count from when the server is made.
+    import_early()
     server = Server(settings)
     backend = server.backend
-    load = backend.sessions.load if isinstance(backend, Dispatcher) else backend.load
-    load.waited = lambda: selector.waited
+    backend.load.waited = lambda: selector.waited
     try:
         await server.start()
-        # Exclude the objects that exist now from garbage collection: they stay.
-        gc.collect()
-        gc.freeze()
+        keep_objects()
         settings = server.settings
         hosts = {"host": settings.host} | (
             {"web_host": settings.web_host} if settings.web else {}

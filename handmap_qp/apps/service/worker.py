@@ -7,8 +7,6 @@ it ends.
 """
 
 import asyncio
-import gc
-import importlib
 import os
 import pickle
 import signal
@@ -46,6 +44,7 @@ from handmap_qp.apps.service.logs import (
     resident_bytes,
 )
 from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.process import import_early, keep_objects, run_timed
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
@@ -53,8 +52,6 @@ from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.apps.service.watchdogs import Watchdogs
 from handmap_qp.apps.service.work import in_next_turn
 
-SWITCH_INTERVAL = 5e-4
-"""Interval after which a thread that loads a hand yields to the one that answers [s]."""
 _REPORT = 0.25
 """Time between reports to the server [s]."""
 _UNLIMITED = 1e9
@@ -225,11 +222,9 @@ async def _serve(end: socket.socket, selector: TimedSelector) -> None:
     await asyncio.get_running_loop().create_unix_connection(lambda: channel, sock=end)
     start = await started
     with logs_on_stderr(start.level, worker=start.number):
-        # The first hand with meshes would import it, which delays running sessions.
-        importlib.import_module("scipy.spatial")
+        import_early()
         worker = Worker(start, channel.send, selector)
-        gc.collect()
-        gc.freeze()
+        keep_objects()
         if gone.is_set():
             return
         await worker.run()
@@ -243,12 +238,7 @@ def main() -> None:
     # A signal to the whole group is the server's, which then says `Finish`.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    end = socket.socket(fileno=int(sys.argv[1]))
-    selector = TimedSelector()
-    runner = asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selector))
-    with runner:
-        runner.run(_serve(end, selector))
+    run_timed(partial(_serve, socket.socket(fileno=int(sys.argv[1]))))
     # Python would wait for a thread that loads a hand.
     sys.stderr.flush()
     os._exit(0)
