@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from marks import full
 from picks import kept, made_pick
 
 from handmap_core.human.recording import Recording
@@ -294,7 +293,7 @@ def test_the_command_says_what_it_assumed_and_why_objects_were_lost(
     assert 0.0 < pads["off mm"] < 100.0
 
 
-@pytest.mark.parametrize("robot", ["three_finger", "leap_right", full("allegro_right")])
+@pytest.mark.parametrize("robot", ["three_finger", "leap_right", "allegro_right"])
 def test_demo_is_held(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The first simulation of a new user, by the default hand and others."""
     assert cli.main(["simulate", "demo", "--robot", robot, "--json"]) == 0

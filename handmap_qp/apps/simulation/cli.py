@@ -73,10 +73,11 @@ class Simulate:
 
     The recording shows a pick: an open hand pinches with thumb and index finger. An object stands
     where the robot's pads meet, and must stay between them until the human opens the hand. It is
-    there while the hand is still open; other fingers that are then in its place, as after pointing,
-    touch it once they have left. Each object that is not held has its cause. With --trials, random
-    objects and places are tried, and the tables show how many were held by every mapping, and why
-    the others were not. A fist is no pick: thumb and index finger must face each other.
+    there while the hand is still open; other fingers that are then in its place, or come through it
+    as after pointing, touch it once they have left. Each object that is not held has its cause.
+    With --trials, random objects and places are tried, and the tables show how many were held by
+    every mapping, and why the others were not. A fist is no pick: thumb and index finger must face
+    each other.
 
     A robot with both hands follows both; the hand that pinches longest holds the object.
 

@@ -95,32 +95,43 @@ class Pads:
 
 
 class FingersInTheWay:
-    """Fingers that are where an object is put: they touch it once they have left its place.
+    """Fingers that are, or will pass, where an object is put: they touch it once they have left.
 
     Args:
         simulator: The simulation, with the object at its place.
         fingers: Names of the bodies of each finger that may be there, by the finger's name.
+        until: Time until which a finger's command is in that place [s], by the finger's name;
+            without an entry it never is.
 
     Attributes:
-        names: The fingers that were there at first.
+        names: The fingers that pass through it at first.
     """
 
     def __init__(
-        self, simulator: Simulator, fingers: Mapping[str, Sequence[str]]
+        self,
+        simulator: Simulator,
+        fingers: Mapping[str, Sequence[str]],
+        until: Mapping[str, float],
     ) -> None:
         self._simulator = simulator
         self._passing = fingers
-        self.update()
+        self._until = until
+        self.update(-np.inf)
         self.names = tuple(self._passing)
 
-    def update(self) -> None:
-        """Let the fingers that have left the object's place touch it from now on."""
+    def update(self, time: float) -> None:
+        """Let the fingers that have left the object's place touch it from now on.
+
+        Args:
+            time: That of the recording [s].
+        """
         if not self._passing:
             return
         self._passing = {
             name: bodies
             for name, bodies in self._passing.items()
-            if self._simulator.clearance(bodies) <= 0.0
+            if time < self._until.get(name, -np.inf)
+            or self._simulator.clearance(bodies) <= 0.0
         }
         self._simulator.set_passing({*chain.from_iterable(self._passing.values())})
 

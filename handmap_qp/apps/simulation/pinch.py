@@ -110,8 +110,8 @@ class PinchOutcome(NamedTuple):
         episode: The simulation.
         loss: Why it was not held; None if it was.
         course: How the hand touched it, at each instant of the episode.
-        in_the_way: Fingers that were in its place at first, and passed through it until they had
-            left.
+        in_the_way: Fingers that were in its place before the pads met, and passed through it until
+            they had left.
     """
 
     is_held: bool
@@ -193,8 +193,9 @@ class PinchScene:
         simulator = Simulator(self.commands.robot, trial.shape, physics)
         pose = affine(axes, place)
         leaving = self._leaving(simulator, pose, met)
+        until = self._last_there(simulator, pose, leaving, met)
         start = self._put_clear(simulator, pose, leaving)
-        in_the_way = FingersInTheWay(simulator, leaving)
+        in_the_way = FingersInTheWay(simulator, leaving, until)
         instants = []
         course = []
         away = []
@@ -202,7 +203,7 @@ class PinchScene:
         # Index at which the stand lets go, and the time until which there was no grip.
         freed, loose = -1, self.commands.time[start]
         for i, time in enumerate(self._play(simulator, start)):
-            in_the_way.update()
+            in_the_way.update(float(time))
             instants.append(simulator.instant())
             places = pads.places(simulator)
             away.append(simulator.object_pose[:3, 3] - pads.pair.middle(places))
@@ -262,6 +263,33 @@ class PinchScene:
         return {
             name: bodies for name, bodies in fingers if simulator.clearance(bodies) > 0
         }
+
+    def _last_there(
+        self,
+        simulator: Simulator,
+        pose: Array,
+        leaving: Mapping[str, Sequence[str]],
+        met: Meeting,
+    ) -> dict[str, float]:
+        """Return when each finger's command is in the object's place for the last time.
+
+        A curled finger may be beside that place at the start, and sweep through it as it opens.
+
+        Returns:
+            The time before the pads meet [s], by the finger's name; none for fingers that never
+            are there.
+        """
+        time = self.commands.time
+        end = min(int(np.searchsorted(time, met.time)), self.window.end)
+        until: dict[str, float] = {}
+        for sample in range(self.window.opened, end):
+            simulator.reset(self.commands.at(sample), pose)
+            until |= {
+                name: float(time[sample])
+                for name, bodies in leaving.items()
+                if simulator.clearance(bodies) <= 0.0
+            }
+        return until
 
     def _put_clear(
         self, simulator: Simulator, pose: Array, leaving: Mapping[str, Sequence[str]]

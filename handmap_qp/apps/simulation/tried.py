@@ -77,7 +77,7 @@ def in_the_way_cell(outcomes: Mapping[str, PinchOutcome]) -> Row:
     ]
     if not fingers:
         return {}
-    says = "where the object stands at first; touches it after leaving that place"
+    says = "in the object's place before the pads meet; touches it once it has left"
     return {"finger in the way": f"{'; '.join(fingers)}: {says}"}
 
 
