@@ -84,12 +84,25 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.fixture(scope="module")
-def open_page() -> Iterator[tuple[ViserServer, Browser]]:
-    """Serve one page to a browser: each test makes the page of a hand of its own in it."""
+def served() -> Iterator[tuple[ViserServer, Browser]]:
+    """Serve one page to a browser."""
     with serving() as server, Browser(chromium()) as browser:
         light_simply(server)
         browser.open(f"http://127.0.0.1:{server.get_port()}")
         yield server, browser
+
+
+@pytest.fixture
+def open_page(served: tuple[ViserServer, Browser]) -> tuple[ViserServer, Browser]:
+    """Return the page without controls: each test makes those of a hand of its own in it.
+
+    A click on a control of the test before would do nothing.
+    """
+    server, browser = served
+    server.gui.reset()
+    buttons = "[...document.querySelectorAll('button')]"
+    browser.wait_for(f"!{buttons}.some(e => e.innerText.trim() == 'Save')")
+    return server, browser
 
 
 def _wrong(spec: HandSpec, mistake: str) -> HandSpec:
