@@ -154,8 +154,8 @@ def task_rows(
 ) -> tuple[Array, Array, Array]:
     """Return residual, Jacobian and damping of a task in a configuration; see `TaskRows`."""
 
-Detour = tuple[Array | None, Array, Array, float, float]
-"""State of the detour of a hand, to go on with."""
+Detour = tuple[Array | None, Array | None, Array]
+"""The detour of a hand, to go on with: its posture, its targets, and all of its numbers."""
 
 class Ik(Gate):
     """Moves a robot by QPs, through its gate; made of an `IkModel` and as a `Gate` is."""
@@ -170,6 +170,8 @@ class Ik(Gate):
     ) -> None: ...
     @property
     def costs(self) -> int: ...
+    @property
+    def queries(self) -> int: ...
     @property
     def detours(self) -> list[Detour]: ...
     def go_on(self, detours: Sequence[Detour]) -> None: ...

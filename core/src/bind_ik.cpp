@@ -133,38 +133,31 @@ Step hold_still(Ik& ik, const nb::object& when) {
   return step;
 }
 
-// The detour of each hand, to go on with.
+// The detour of each hand, to go on with: the posture that it passes, the targets for which it was
+// sought, and all of its numbers.
 nb::list detours_of(Ik& ik) {
   nb::list found;
-  for (size_t i = 0; i < ik.detours.size(); ++i) {
-    const Detour& detour = ik.detours[i];
+  for (Detour& detour : ik.detours) {
+    DetourWriter writer;
+    detour.fields(writer);
     const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
-    std::vector<Vec3> points = detour.points;
-    if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
-    Vector known = detour.known;
-    known.resize(ik.tree.parts[i].end - ik.tree.parts[i].first, 0.0);
-    found.append(
-        nb::make_tuple(via, array_of(points), array_of(known), detour.left, detour.wait));
+    const nb::object points = detour.points.empty() ? nb::none() : nb::cast(array_of(detour.points));
+    found.append(nb::make_tuple(via, points, array_of(writer.numbers)));
   }
   return found;
 }
 
-// Posture that it passes, its targets, errors of points, and times left; see `Detour`.
-using DetourGiven = std::tuple<std::optional<Array>, Array, Array, double, double>;
+using DetourGiven = std::tuple<nb::object, nb::object, Array>;
 
 // Continue the motion on detours, as the hands do that these are copies of.
 void go_on(Ik& ik, const std::vector<DetourGiven>& given) {
   expect(given.size() == ik.detours.size(), "a detour for each hand");
-  std::vector<Detour> detours;
+  std::vector<Detour> detours(given.size());
   for (size_t i = 0; i < given.size(); ++i) {
-    const auto& [via, points, known, left, wait] = given[i];
-    if (via) expect_size(*via, ik.tree.q_indices.size(), "a detour");
-    // Others are those of a hand without a detour.
-    const bool has_points = points.size() == 3 * ik.tree.points.size();
-    const bool is_known = known.size() == ik.tree.parts[i].end - ik.tree.parts[i].first;
-    detours.push_back({via ? vector_of(*via) : Vector(),
-                       has_points ? points_of(points) : std::vector<Vec3>(),
-                       is_known ? vector_of(known) : Vector(), left, wait});
+    DetourReader reader(vector_of(std::get<2>(given[i])));
+    detours[i].fields(reader);
+    expect(reader.left() == 0, "the numbers of a detour");
+    detours[i].expect_hand(ik.tree);
   }
   ik.detours = std::move(detours);
 }
@@ -183,6 +176,7 @@ void bind_ik(nb::module_& m) {
       .def("__init__", &make_ik, "tree"_a, "options"_a, "limits"_a, "pairs"_a.none() = nb::none(),
            "collisions"_a.none() = nb::none())
       .def_ro("costs", &Ik::costs)
+      .def_prop_ro("queries", [](const Ik& ik) { return ik.pairs ? ik.pairs->queries : 0; })
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
       .def("hold", exclusively(&hold_still), "when"_a)

@@ -237,8 +237,9 @@ def test_looking_for_another_way_takes_few_qps() -> None:
     for landmarks in recording.landmarks[recording.valid]:
         mapper.map_landmarks(landmarks, dt=1 / 60)
         costs.append(ik.costs)
-    assert np.mean(np.diff(costs)) < 2.6
-    assert np.diff(costs).max() < 60
+    assert np.mean(np.diff(costs)) < 2.7
+    # Four QPs of a look ahead in a sample at most, each with ways around what meets.
+    assert np.diff(costs).max() <= 24
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "hey5"])

@@ -170,6 +170,50 @@ def test_a_copy_in_a_detour_goes_on_with_it(
         np.testing.assert_allclose(one.command.q, two.command.q, atol=1e-9)
 
 
+def test_a_copy_that_looks_ahead_goes_on_alike(
+    caught: tuple[Motion, np.ndarray],
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of()
+    mapper.motion = start
+    copies = []
+    while not is_on_detour(mapper):
+        mapper.map_step(human_q, PALM)
+        copies.append(copy.deepcopy(mapper))
+    # A look takes some samples, in which the hand goes on.
+    assert len(copies) > 4
+    for taken, other in enumerate(copies):
+        for _ in range(len(copies) - 1 - taken):
+            other.map_step(human_q, PALM)
+        assert is_on_detour(other)
+        np.testing.assert_allclose(other.motion.q, mapper.motion.q, atol=1e-9)
+
+
+def test_numbers_of_a_detour_that_are_wrong_are_refused(
+    caught: tuple[Motion, np.ndarray],
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of()
+    core = mapper.point_ik.core
+    start_detour(mapper, start, human_q)
+    ((via, points, numbers),) = detours = core.detours
+    worse = numbers.copy()
+    worse[-1] = np.nan
+    for wrong in (
+        numbers[:-1],
+        numbers[:1],
+        np.append(numbers, 0.0),
+        1e9 * numbers,
+        worse,
+    ):
+        with pytest.raises(ValueError, match="detour"):
+            core.go_on([(via, points, wrong)])
+    with pytest.raises(ValueError, match="detour"):
+        core.go_on([])
+    ((_, _, left),) = core.detours
+    np.testing.assert_array_equal(left, detours[0][2])
+
+
 def test_a_detour_ends_where_the_person_or_something_else_moves(
     caught: tuple[Motion, np.ndarray],
 ) -> None:
@@ -242,7 +286,7 @@ def test_a_failure_while_looking_ahead_moves_nothing(
     for _ in range(round(0.5 / DT)):
         before = mapper.motion.q.copy()
         # A sample takes at most six QPs; later calls are those of a look ahead.
-        mapper.configure(tasks=[Failing(12)])
+        mapper.configure(tasks=[Failing(8)])
         try:
             mapper.map_step(human_q, PALM)
         except RuntimeError:

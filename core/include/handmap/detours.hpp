@@ -3,14 +3,18 @@
 // Rows may hold a finger behind others, or a folded one, far from its target though another posture is
 // near: a QP finds the nearest minimum. Where a point is away from its target, or thumb and finger do not
 // meet, and neither is on its way, the hand looks ahead by the same QPs: where would it end if it went by
-// its rest posture? If that is clearly nearer, the joints are pulled to what was found there, straight or
-// by rest, whichever was seen to arrive. Every step passes the gate. Each hand of a robot looks by itself.
+// its rest posture, or by straighter fingers? If that is clearly nearer than where it has come to meanwhile,
+// the joints are pulled to that posture first. Every step passes the gate. Each hand of a robot looks by
+// itself.
+//
+// A look takes tens of QPs. The hand foresees a few of them in each sample, and goes on meanwhile: they
+// are granted by the time of the samples, so that a look takes as long at every rate, and a robot does the
+// same on every computer.
 #pragma once
 
 #include "ik.hpp"
 
 namespace handmap {
-
 // A point or pinch whose weighted error is larger is away from its target [cost]: 20 mm for a fingertip,
 // 4 mm for a pinch of `teleoperation` at its full weight.
 constexpr double kAway = 2.0;
@@ -18,18 +22,23 @@ constexpr double kAway = 2.0;
 constexpr double kPressed = 0.004;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
-// To look ahead: time of a sample [s], and their number, at most.
+// To look ahead: time of a sample that is foreseen [s], and their number, at most.
 constexpr double kSample = 0.05;
 constexpr int kSamples = 12;
+// QPs that are foreseen in a second, and in one sample at most.
+constexpr double kForeseen = 270.0;
+constexpr int kForeseenAtOnce = 4;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].
 constexpr double kAgain = 0.1, kLater = 0.2;
-// Shares of the error that is left of a point that was away, and of the sum of all squares, if a detour
-// is worth it.
-constexpr double kOfPoint = 0.75, kOfAll = 0.85;
+// A detour is worth it if these shares are left of the error of a point that was away and of the sum of all
+// squares, or this share of that sum.
+constexpr double kOfPoint = 0.75, kOfAll = 0.85, kOfMost = 0.7;
 // Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it is
 // reached [rad or m], and the longest time for it, in samples.
 constexpr double kPull = 20.0, kReached = 0.15;
 constexpr int kLongest = 6;
+// Share of the rest posture's angles that straighter fingers keep; most models are straight at zero.
+constexpr double kStraighter = 0.5;
 // Targets that move farther than this end a detour [m].
 constexpr double kMoved = 0.05;
 // Where none is known, errors have to grow by this share before the hand looks again, or this time has to
@@ -55,73 +64,137 @@ class Detours {
              Result& result) {
     const double dt = ik_.motion.next(when).granted;
     detour_.wait -= dt;
-    if (!detour_.via.empty() && moved_by(goal) > kMoved) {
-      detour_.via.clear();
-      detour_.known.clear();
-    }
+    if (!detour_.points.empty() && moved_by(goal) > kMoved) give_up({}, 0.0);
     if (!detour_.via.empty()) {
       solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
       if (is_at(detour_.via))
-        detour_ = {{}, {}, {}, 0.0, kAgain};
+        give_up({}, kAgain);
       else if (is_late)
-        detour_ = {{}, {}, detour_.known, 0.0, kLater};
+        give_up(detour_.known, kLater);
       return;
     }
     solve_with_detours(ik_, index_, goal, when, margins, speed, result);
     if (detour_.wait <= -kForgotten) detour_.known.clear();
-    if (detour_.wait <= 0.0) look_ahead(goal, margins, result, dt * speed);
+    if (!is_looking() && detour_.wait <= 0.0) begin_to_look(goal, result, dt * speed);
+    if (is_looking()) look_ahead(goal, margins, result, dt, speed);
   }
 
  private:
+  using Candidate = Foresight::Candidate;
+
   Ik& ik_;
   const size_t index_;
   const Part& part_;
   const Vector& is_finger_;
   Detour& detour_;
+  Foresight& foresight_ = detour_.foresight;
 
-  struct End {
-    Vector errors, joints;
-  };
+  bool is_looking() const { return foresight_.candidate != Candidate::none; }
 
-  void look_ahead(const Goal& goal, const Vector& margins, const Result& result, double time) {
-    const Vector here = errors(goal, result);
-    if (!is_held_away(goal, here, result, time)) return;
-    const Vector& rest = goal.postures.front().q;
-    const End found = foresee(goal, margins, rest);
-    Vector ahead = here;
-    // It may get there slowly by itself.
-    if (is_nearer(found.errors, here)) ahead = foresee(goal, margins, {}).errors;
-    if (!is_nearer(found.errors, ahead)) {
-      detour_ = {{}, {}, ahead, 0.0, kLater};
-      return;
-    }
-    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
-    detour_ = {is_direct ? found.joints : rest, goal.points, here, kLongest * kSample, 0.0};
+  // End a detour, or a look ahead. Errors are known where none is nearer.
+  void give_up(Vector known, double wait) {
+    detour_.via.clear();
+    detour_.points.clear();
+    detour_.known = std::move(known);
+    detour_.left = 0.0;
+    detour_.wait = wait;
+    foresight_.candidate = Candidate::none;
   }
 
-  // Where the hand ends.
-  End foresee(const Goal& given, const Vector& margins, const Vector& via) {
+  // Look ahead if a point or a pinch is away, and not on its way.
+  void begin_to_look(const Goal& goal, const Result& result, double time) {
+    const Vector here = errors(goal, result);
+    if (!is_held_away(goal, here, result, time)) return;
+    detour_.points = goal.points;
+    foresight_.credit = 0.0;
+    go_by(Candidate::rest, goal);
+  }
+
+  // Begin to foresee the way by a posture, from where the hand is.
+  void go_by(Candidate candidate, const Goal& goal) {
+    foresight_.candidate = candidate;
+    foresight_.via = posture_of(candidate, goal);
+    foresight_.is_past = false;
+    foresight_.steps = 0;
+    foresight_.motion = ik_.motion;
+  }
+
+  // Foresee as many QPs as a time [s] grants.
+  void look_ahead(const Goal& given, const Vector& margins, const Result& result, double dt,
+                  double speed) {
     const Motion motion = ik_.motion;
-    const When next = When::after(kSample);
     Goal goal = given;
     goal.postures.resize(1);
-    Result result;
-    for (int k = 0; !via.empty() && k < kLongest; ++k) {
-      ik_.solve(pulled(goal, via), next, margins, 1.0, result);
-      if (is_at(via)) break;
+    foresight_.credit = std::min(foresight_.credit + kForeseen * dt, double(kForeseenAtOnce));
+    bool has_ended = false;
+    for (; foresight_.credit >= 1.0 && !has_ended; foresight_.credit -= 1.0) {
+      ik_.motion = foresight_.motion;
+      has_ended = foresee(goal, margins);
+      foresight_.motion = ik_.motion;
     }
-    End end;
-    for (int k = 0; k < kSamples; ++k) {
-      ik_.solve(goal, next, margins, 1.0, result);
-      end.errors = errors(goal, result);
-      if (*std::max_element(end.errors.begin(), end.errors.end()) <= kAway) break;
-    }
-    end.joints = joints();
     ik_.motion = motion;
     ik_.at.place(motion.q.data());
-    return end;
+    if (has_ended) conclude(given, result, dt * speed);
+  }
+
+  // Foresee one QP; whether the way has ended.
+  bool foresee(Goal& goal, const Vector& margins) {
+    const When next = When::after(kSample);
+    Result result;
+    ++foresight_.steps;
+    if (!foresight_.is_past) {
+      goal.postures.push_back({kPull, foresight_.via, is_finger_});
+      ik_.solve(goal, next, margins, 1.0, result);
+      goal.postures.pop_back();
+      foresight_.is_past = is_at(foresight_.via) || foresight_.steps == kLongest;
+      if (foresight_.is_past) foresight_.steps = 0;
+      return false;
+    }
+    ik_.solve(goal, next, margins, 1.0, result);
+    foresight_.ended = errors(goal, result);
+    const auto& ended = foresight_.ended;
+    return foresight_.steps == kSamples || *std::max_element(ended.begin(), ended.end()) <= kAway;
+  }
+
+  // Take the way that was foreseen, look at the next one, or give up.
+  void conclude(const Goal& goal, const Result& result, double time) {
+    // Since the look began, the hand has gone on by itself.
+    const Vector here = errors(goal, result);
+    // Another method has other distances.
+    if (here.size() != foresight_.ended.size() || !is_held_away(goal, here, result, time))
+      return give_up({}, 0.0);
+    if (is_nearer(foresight_.ended, here)) {
+      detour_.via = foresight_.via;
+      detour_.known = here;
+      detour_.left = kLongest * kSample;
+      detour_.wait = 0.0;
+      foresight_.candidate = Candidate::none;
+    } else if (foresight_.candidate == Candidate::rest && is_pinching(goal)) {
+      // Tips that have passed each other touch as well: they come back by straighter fingers.
+      go_by(Candidate::straighter, goal);
+    } else {
+      give_up(here, kLater);
+    }
+  }
+
+  // A posture that may be a detour.
+  Vector posture_of(Candidate candidate, const Goal& goal) const {
+    if (candidate == Candidate::rest) return goal.postures.front().q;
+    const Tree& tree = ik_.tree;
+    Vector found(tree.joint_rest.size());
+    for (size_t j = 0; j < found.size(); ++j)
+      found[j] = std::clamp(kStraighter * tree.joint_rest[j], tree.lower[j], tree.upper[j]);
+    return found;
+  }
+
+  bool is_pinching(const Goal& goal) const {
+    bool is_any = false;
+    for_pinches(goal, [&](const Attached&, const Attached&, double, double weight) {
+      is_any |= weight > 0.0;
+    });
+    return is_any;
   }
 
   Goal pulled(const Goal& goal, const Vector& posture) const {
@@ -227,15 +300,18 @@ class Detours {
     return errors[k] > std::max(kAway, known);
   }
 
+  // Whether errors are clearly less than others, of which one at least is away.
   bool is_nearer(const Vector& errors, const Vector& other) const {
-    bool is_any = false;
+    bool is_any = false, is_away = false;
     double squares = 0.0, squares_other = 0.0;
     for (size_t k = 0; k < errors.size(); ++k) {
+      is_away |= other[k] > kAway;
       is_any |= other[k] > kAway && errors[k] < kOfPoint * other[k];
       squares += errors[k] * errors[k];
       squares_other += other[k] * other[k];
     }
-    return is_any && squares < kOfAll * squares_other;
+    return (is_any && squares < kOfAll * squares_other) ||
+           (is_away && squares < kOfMost * squares_other);
   }
 };
 

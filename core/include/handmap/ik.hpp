@@ -5,6 +5,7 @@
 #include <functional>
 #include <optional>
 
+#include "detour_state.hpp"
 #include "gate.hpp"
 #include "guessed_qp.hpp"
 #include "task_rows.hpp"
@@ -46,15 +47,6 @@ struct Goal {
     postures.front().shares = shares;
     damping_shares = shares;
   }
-};
-
-// What the fingers of a hand are about to do in place of going to their targets; see detours.hpp.
-struct Detour {
-  Vector via = {};                // posture that they pass; none in most samples
-  std::vector<Vec3> points = {};  // targets for which it was found
-  Vector known = {};              // errors of the hand where it, or none, was found [cost]
-  double left = 0.0;              // time left to reach it [s]
-  double wait = 0.0;              // time until it may look ahead again [s]
 };
 
 enum class Status { converged, limited, unreachable, unsettled, failed, released };

@@ -204,6 +204,7 @@ class Pairs {
   const std::vector<Body>& bodies;
   double margin = 0.0, horizon = kInfinity;
   ContactYield yielding;
+  std::int64_t queries = 0;  // number of distances that were measured, as a measure of work
 
   Pairs(const Tree& tree, std::shared_ptr<const PairBounds> bounds)
       : bounds_(std::move(bounds)), bodies(bounds_->bodies), tree_(tree), middle_(tree) {
@@ -683,6 +684,7 @@ class Pairs {
 
   Found found_at(const Placed& at, size_t k) {
     const Body &a = bodies[pair(k).first], &b = bodies[pair(k).second];
+    ++queries;
     return measure(a.shape, at.pose(a.joint) * a.placement, b.shape,
                    at.pose(b.joint) * b.placement, warm_[k]);
   }
