@@ -5,23 +5,33 @@
 
 namespace handmap {
 
-// A look ahead of a hand, a few QPs in each sample: the way that it foresees, and how far it is.
+// A look ahead of a hand, as much of it in each sample as work is granted: what it foresees, and what it
+// has found.
 struct Foresight {
   // Postures that may be a detour, in the order in which they are tried: that to which the rest term
   // pulls, and straighter fingers.
   enum class Candidate { none, rest, straighter };
+  // Ways that are foreseen: by the candidate, by nothing, and straight to where the first of them ended.
+  enum class Way { by_candidate, by_itself, direct };
 
-  Candidate candidate = Candidate::none;  // whose way is foreseen; none where the hand does not look
-  Vector via = {};       // that posture
+  Candidate candidate = Candidate::none;  // none where the hand does not look
+  Way way = Way::by_candidate;
+  Vector posture = {};   // the candidate's
+  Vector via = {};       // what the way passes, if anything
   bool is_past = false;  // whether the hand that is foreseen has passed it
   int steps = 0;         // towards it, or since then
-  double credit = 0.0;   // QPs that are granted, and not used yet
+  double credit = 0.0;   // work that is granted, and not done yet
   Motion motion = {};    // of the hand that is foreseen
   Vector ended = {};     // its errors [cost]
+  bool has_ahead = false;         // whether the way by nothing has been foreseen
+  Vector ahead = {};              // errors where that ended [cost]
+  Vector found = {}, joints = {};  // errors and joints where the way by the candidate ended
 
   template <class Visit>
   void fields(Visit& visit) {
     visit(candidate);
+    visit(way);
+    visit(posture);
     visit(via);
     visit(is_past);
     visit(steps);
@@ -32,6 +42,10 @@ struct Foresight {
     visit(motion.stop_times);
     visit(motion.time);
     visit(ended);
+    visit(has_ahead);
+    visit(ahead);
+    visit(found);
+    visit(joints);
   }
 };
 
@@ -61,8 +75,10 @@ struct Detour {
     const Foresight& look = foresight;
     const bool has_none = look.candidate == Foresight::Candidate::none;
     const size_t joints = tree.q_indices.size(), coordinates = tree.size;
-    expect_list(via, joints, true);
-    expect_list(look.via, joints, has_none);
+    for (const Vector* each : {&via, &look.via, &look.joints}) expect_list(*each, joints, true);
+    expect_list(look.posture, joints, has_none);
+    for (const Vector* each : {&look.found, &look.ahead})
+      expect_list(*each, look.ended.size(), true);
     expect_that(points.empty() || points.size() == tree.points.size(), "detours", "those of this hand");
     expect_list(look.motion.q, tree.nq, has_none);
     for (const Vector* each : {&look.motion.displacement, &look.motion.stop_times})
@@ -103,6 +119,7 @@ class DetourReader {
   void operator()(Foresight::Candidate& candidate) {
     candidate = static_cast<Foresight::Candidate>(whole(2));
   }
+  void operator()(Foresight::Way& way) { way = static_cast<Foresight::Way>(whole(2)); }
   void operator()(Vector& list) {
     list.resize(whole(left()));
     for (double& each : list) each = next();

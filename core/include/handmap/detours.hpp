@@ -7,9 +7,9 @@
 // the joints are pulled to that posture first. Every step passes the gate. Each hand of a robot looks by
 // itself.
 //
-// A look takes tens of QPs. The hand foresees a few of them in each sample, and goes on meanwhile: they
-// are granted by the time of the samples, so that a look takes as long at every rate, and a robot does the
-// same on every computer.
+// A look takes tens of QPs, and some of them a thousand measured distances. The hand does a part of it in
+// each sample, and goes on meanwhile: work is granted by the time of the samples and counted, so that a
+// robot does the same on every computer.
 #pragma once
 
 #include "ik.hpp"
@@ -25,9 +25,9 @@ constexpr double kOnItsWay = 0.7;
 // To look ahead: time of a sample that is foreseen [s], and their number, at most.
 constexpr double kSample = 0.05;
 constexpr int kSamples = 12;
-// QPs that are foreseen in a second, and in one sample at most.
-constexpr double kForeseen = 270.0;
-constexpr int kForeseenAtOnce = 4;
+// Work of looking ahead that a second grants, and that one sample may do, but for the QP that exceeds it:
+// in measured distances. A QP counts as much as this many of them besides.
+constexpr double kWork = 60e3, kWorkAtOnce = 800.0, kOfQp = 25.0;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].
 constexpr double kAgain = 0.1, kLater = 0.2;
 // A detour is worth it if these shares are left of the error of a point that was away and of the sum of all
@@ -83,6 +83,7 @@ class Detours {
 
  private:
   using Candidate = Foresight::Candidate;
+  using Way = Foresight::Way;
 
   Ik& ik_;
   const size_t index_;
@@ -108,35 +109,51 @@ class Detours {
     const Vector here = errors(goal, result);
     if (!is_held_away(goal, here, result, time)) return;
     detour_.points = goal.points;
-    foresight_.credit = 0.0;
-    go_by(Candidate::rest, goal);
+    foresight_.credit = kWorkAtOnce;
+    foresight_.has_ahead = false;
+    try_candidate(Candidate::rest, goal);
   }
 
-  // Begin to foresee the way by a posture, from where the hand is.
-  void go_by(Candidate candidate, const Goal& goal) {
+  void try_candidate(Candidate candidate, const Goal& goal) {
     foresight_.candidate = candidate;
-    foresight_.via = posture_of(candidate, goal);
-    foresight_.is_past = false;
+    foresight_.posture = posture_of(candidate, goal);
+    go(Way::by_candidate, foresight_.posture);
+  }
+
+  // Begin to foresee a way, from where the hand is.
+  void go(Way way, const Vector& via) {
+    foresight_.way = way;
+    foresight_.via = via;
+    foresight_.is_past = via.empty();
     foresight_.steps = 0;
     foresight_.motion = ik_.motion;
   }
 
-  // Foresee as many QPs as a time [s] grants.
+  // Foresee as much as a time [s] grants.
   void look_ahead(const Goal& given, const Vector& margins, const Result& result, double dt,
                   double speed) {
     const Motion motion = ik_.motion;
+    const Vector here = errors(given, result);
+    const bool is_held = is_held_away(given, here, result, dt * speed);
     Goal goal = given;
     goal.postures.resize(1);
-    foresight_.credit = std::min(foresight_.credit + kForeseen * dt, double(kForeseenAtOnce));
-    bool has_ended = false;
-    for (; foresight_.credit >= 1.0 && !has_ended; foresight_.credit -= 1.0) {
+    foresight_.credit = std::min(foresight_.credit + kWork * dt, kWorkAtOnce);
+    while (is_looking() && foresight_.credit > 0.0) {
+      const double before = work();
       ik_.motion = foresight_.motion;
-      has_ended = foresee(goal, margins);
+      const bool has_ended = foresee(goal, margins);
       foresight_.motion = ik_.motion;
+      ik_.motion = motion;
+      foresight_.credit -= work() - before;
+      if (has_ended) conclude(given, here, is_held);
     }
-    ik_.motion = motion;
     ik_.at.place(motion.q.data());
-    if (has_ended) conclude(given, result, dt * speed);
+  }
+
+  // What was done until now, in measured distances.
+  double work() const {
+    const double queries = ik_.pairs ? static_cast<double>(ik_.pairs->queries) : 0.0;
+    return queries + kOfQp * static_cast<double>(ik_.costs);
   }
 
   // Foresee one QP; whether the way has ended.
@@ -154,29 +171,40 @@ class Detours {
     }
     ik_.solve(goal, next, margins, 1.0, result);
     foresight_.ended = errors(goal, result);
+    if (foresight_.way == Way::by_candidate) foresight_.joints = joints();
     const auto& ended = foresight_.ended;
     return foresight_.steps == kSamples || *std::max_element(ended.begin(), ended.end()) <= kAway;
   }
 
-  // Take the way that was foreseen, look at the next one, or give up.
-  void conclude(const Goal& goal, const Result& result, double time) {
-    // Since the look began, the hand has gone on by itself.
-    const Vector here = errors(goal, result);
-    // Another method has other distances.
-    if (here.size() != foresight_.ended.size() || !is_held_away(goal, here, result, time))
-      return give_up({}, 0.0);
-    if (is_nearer(foresight_.ended, here)) {
-      detour_.via = foresight_.via;
-      detour_.known = here;
-      detour_.left = kLongest * kSample;
-      detour_.wait = 0.0;
-      foresight_.candidate = Candidate::none;
-    } else if (foresight_.candidate == Candidate::rest && is_pinching(goal)) {
-      // Tips that have passed each other touch as well: they come back by straighter fingers.
-      go_by(Candidate::straighter, goal);
-    } else {
-      give_up(here, kLater);
+  // Foresee the next way, take a detour, or give up. `here` are the errors where the hand is now.
+  void conclude(const Goal& goal, const Vector& here, bool is_held) {
+    const Vector& ended = foresight_.ended;
+    // Another method has other distances; and the hand may have come on by itself.
+    if (here.size() != ended.size() || !is_held) return give_up({}, 0.0);
+    if (foresight_.way == Way::by_candidate) {
+      if (!is_nearer(ended, foresight_.has_ahead ? foresight_.ahead : here)) return try_next(goal, here);
+      foresight_.found = ended;
+      // It may get there slowly by itself.
+      if (!foresight_.has_ahead) return go(Way::by_itself, {});
+    } else if (foresight_.way == Way::by_itself) {
+      foresight_.ahead = ended;
+      foresight_.has_ahead = true;
+      if (!is_nearer(foresight_.found, ended)) return try_next(goal, here);
     }
+    if (foresight_.way != Way::direct) return go(Way::direct, foresight_.joints);
+    const bool is_direct = is_nearer(ended, foresight_.ahead);
+    detour_.via = is_direct ? foresight_.joints : foresight_.posture;
+    detour_.known = here;
+    detour_.left = kLongest * kSample;
+    detour_.wait = 0.0;
+    foresight_.candidate = Candidate::none;
+  }
+
+  // Tips that have passed each other touch as well: they come back by straighter fingers.
+  void try_next(const Goal& goal, const Vector& here) {
+    if (foresight_.candidate == Candidate::rest && is_pinching(goal))
+      return try_candidate(Candidate::straighter, goal);
+    give_up(foresight_.has_ahead ? foresight_.ahead : here, kLater);
   }
 
   // A posture that may be a detour.
