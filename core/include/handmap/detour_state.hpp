@@ -5,7 +5,7 @@
 
 namespace handmap {
 
-// A look ahead of a hand, as much of it in each sample as work is granted: what it foresees, and what it
+// A look ahead of a hand, a few QPs of it in each sample: what it foresees, and what it
 // has found.
 struct Foresight {
   // Postures that may be a detour, in the order in which they are tried: that to which the rest term
@@ -20,12 +20,14 @@ struct Foresight {
   Vector via = {};       // what the way passes, if anything
   bool is_past = false;  // whether the hand that is foreseen has passed it
   int steps = 0;         // towards it, or since then
-  double credit = 0.0;   // work that is granted, and not done yet
+  double credit = 0.0;   // QPs that are granted, and not foreseen yet
   Motion motion = {};    // of the hand that is foreseen
   Vector ended = {};     // its errors [cost]
   bool has_ahead = false;         // whether the way by nothing has been foreseen
   Vector ahead = {};              // errors where that ended [cost]
   Vector found = {}, joints = {};  // errors and joints where the way by the candidate ended
+
+  bool is_looking() const { return candidate != Candidate::none; }
 
   template <class Visit>
   void fields(Visit& visit) {
@@ -73,7 +75,7 @@ struct Detour {
       expect_that(list.size() == count || (may_lack && list.empty()), "detours", "those of this hand");
     };
     const Foresight& look = foresight;
-    const bool has_none = look.candidate == Foresight::Candidate::none;
+    const bool has_none = !look.is_looking();
     const size_t joints = tree.q_indices.size(), coordinates = tree.size;
     for (const Vector* each : {&via, &look.via, &look.joints}) expect_list(*each, joints, true);
     expect_list(look.posture, joints, has_none);

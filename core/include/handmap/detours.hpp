@@ -7,9 +7,9 @@
 // the joints are pulled to that posture first. Every step passes the gate. Each hand of a robot looks by
 // itself.
 //
-// A look takes tens of QPs, and some of them a thousand measured distances. The hand does a part of it in
-// each sample, and goes on meanwhile: work is granted by the time of the samples and counted, so that a
-// robot does the same on every computer.
+// A look takes some thirty QPs, which are solved roughly: nothing that is foreseen is a command. The hand
+// foresees a few of them in each sample, and goes on meanwhile: they are granted by the time of the
+// samples, so that a look takes as long at every rate, and a robot does the same on every computer.
 #pragma once
 
 #include "ik.hpp"
@@ -23,11 +23,11 @@ constexpr double kPressed = 0.004;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
 // To look ahead: time of a sample that is foreseen [s], and their number, at most.
-constexpr double kSample = 0.05;
-constexpr int kSamples = 12;
-// Work of looking ahead that a second grants, and that one sample may do, but for the QP that exceeds it:
-// in measured distances. A QP counts as much as this many of them besides.
-constexpr double kWork = 60e3, kWorkAtOnce = 800.0, kOfQp = 25.0;
+constexpr double kSample = 0.1;
+constexpr int kSamples = 6;
+// QPs that are foreseen in a second, and in one sample at most, of one hand. None is foreseen in a sample in which so many distances were measured.
+constexpr double kForeseen = 800.0, kForeseenAtOnce = 8.0;
+constexpr std::int64_t kMostDistances = 200;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].
 constexpr double kAgain = 0.1, kLater = 0.2;
 // A detour is worth it if these shares are left of the error of a point that was away and of the sum of all
@@ -36,9 +36,11 @@ constexpr double kOfPoint = 0.75, kOfAll = 0.85, kOfMost = 0.7;
 // Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it is
 // reached [rad or m], and the longest time for it, in samples.
 constexpr double kPull = 20.0, kReached = 0.15;
-constexpr int kLongest = 6;
+constexpr int kLongest = 3;
 // Share of the rest posture's angles that straighter fingers keep; most models are straight at zero.
-constexpr double kStraighter = 0.5;
+constexpr double kStraighter = 0.7;
+// A pinch is held where its row has this weight [cost]/[m]: nine tenths of that of `teleoperation`.
+constexpr double kHeld = 450.0;
 // Targets that move farther than this end a detour [m].
 constexpr double kMoved = 0.05;
 // Where none is known, errors have to grow by this share before the hand looks again, or this time has to
@@ -63,6 +65,7 @@ class Detours {
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
              Result& result) {
     const double dt = ik_.motion.next(when).granted;
+    const std::int64_t before = distances();
     detour_.wait -= dt;
     if (!detour_.points.empty() && moved_by(goal) > kMoved) give_up({}, 0.0);
     if (!detour_.via.empty()) {
@@ -77,8 +80,8 @@ class Detours {
     }
     solve_with_detours(ik_, index_, goal, when, margins, speed, result);
     if (detour_.wait <= -kForgotten) detour_.known.clear();
-    if (!is_looking() && detour_.wait <= 0.0) begin_to_look(goal, result, dt * speed);
-    if (is_looking()) look_ahead(goal, margins, result, dt, speed);
+    if (!is_any_looking() && detour_.wait <= 0.0) begin_to_look(goal, result, dt * speed);
+    if (is_looking()) look_ahead(goal, margins, result, dt, speed, before + kMostDistances);
   }
 
  private:
@@ -92,7 +95,22 @@ class Detours {
   Detour& detour_;
   Foresight& foresight_ = detour_.foresight;
 
-  bool is_looking() const { return foresight_.candidate != Candidate::none; }
+  bool is_looking() const { return foresight_.is_looking(); }
+
+  // Hands of one robot look one after the other.
+  bool is_any_looking() const {
+    return std::any_of(ik_.detours.begin(), ik_.detours.end(),
+                       [](const Detour& each) { return each.foresight.is_looking(); });
+  }
+
+  // How many distances were measured until now.
+  std::int64_t distances() const { return ik_.pairs ? ik_.pairs->queries : 0; }
+
+  // A QP of two hands costs some four times that of one.
+  double at_once() const {
+    const double hands = static_cast<double>(ik_.tree.parts.size());
+    return kForeseenAtOnce / (hands * hands);
+  }
 
   // End a detour, or a look ahead. Errors are known where none is nearer.
   void give_up(Vector known, double wait) {
@@ -109,7 +127,7 @@ class Detours {
     const Vector here = errors(goal, result);
     if (!is_held_away(goal, here, result, time)) return;
     detour_.points = goal.points;
-    foresight_.credit = kWorkAtOnce;
+    foresight_.credit = at_once();
     foresight_.has_ahead = false;
     try_candidate(Candidate::rest, goal);
   }
@@ -129,31 +147,24 @@ class Detours {
     foresight_.motion = ik_.motion;
   }
 
-  // Foresee as much as a time [s] grants.
+  // Foresee as much as a time [s] grants, until so many distances were measured.
   void look_ahead(const Goal& given, const Vector& margins, const Result& result, double dt,
-                  double speed) {
+                  double speed, std::int64_t most_distances) {
     const Motion motion = ik_.motion;
     const Vector here = errors(given, result);
     const bool is_held = is_held_away(given, here, result, dt * speed);
     Goal goal = given;
     goal.postures.resize(1);
-    foresight_.credit = std::min(foresight_.credit + kWork * dt, kWorkAtOnce);
-    while (is_looking() && foresight_.credit > 0.0) {
-      const double before = work();
+    foresight_.credit = std::min(foresight_.credit + kForeseen * dt, at_once());
+    while (is_looking() && foresight_.credit >= 1.0 && distances() < most_distances) {
       ik_.motion = foresight_.motion;
       const bool has_ended = foresee(goal, margins);
       foresight_.motion = ik_.motion;
       ik_.motion = motion;
-      foresight_.credit -= work() - before;
+      foresight_.credit -= 1.0;
       if (has_ended) conclude(given, here, is_held);
     }
     ik_.at.place(motion.q.data());
-  }
-
-  // What was done until now, in measured distances.
-  double work() const {
-    const double queries = ik_.pairs ? static_cast<double>(ik_.pairs->queries) : 0.0;
-    return queries + kOfQp * static_cast<double>(ik_.costs);
   }
 
   // Foresee one QP; whether the way has ended.
@@ -163,13 +174,13 @@ class Detours {
     ++foresight_.steps;
     if (!foresight_.is_past) {
       goal.postures.push_back({kPull, foresight_.via, is_finger_});
-      ik_.solve(goal, next, margins, 1.0, result);
+      ik_.solve(goal, next, margins, 1.0, result, kRough);
       goal.postures.pop_back();
       foresight_.is_past = is_at(foresight_.via) || foresight_.steps == kLongest;
       if (foresight_.is_past) foresight_.steps = 0;
       return false;
     }
-    ik_.solve(goal, next, margins, 1.0, result);
+    ik_.solve(goal, next, margins, 1.0, result, kRough);
     foresight_.ended = errors(goal, result);
     if (foresight_.way == Way::by_candidate) foresight_.joints = joints();
     const auto& ended = foresight_.ended;
@@ -220,7 +231,7 @@ class Detours {
   bool is_pinching(const Goal& goal) const {
     bool is_any = false;
     for_pinches(goal, [&](const Attached&, const Attached&, double, double weight) {
-      is_any |= weight > 0.0;
+      is_any |= weight / kLengthUnit > kHeld;
     });
     return is_any;
   }

@@ -48,6 +48,11 @@
 
 namespace handmap {
 
+// Distances that proofs may measure in a sample, for each hand of the robot: those of what is wanted, and
+// of ways around what meets; those of what is shortened; and those of a tenth of it, where the ones before
+// did not suffice.
+constexpr std::int64_t kProofs = 700, kShortProofs = 500, kLastProof = 60;
+
 class Gate : public Exclusive {
  public:
   Tree tree;
@@ -76,29 +81,8 @@ class Gate : public Exclusive {
   template <class Around>
   void admit(const Vector& wanted, const Vector& first, const Interval& interval,
              const Around& around, int tries) {
-    const int n = tree.size;
-    const double dt = interval.dt;
-    held_by = -1;
-    limits.box(motion, dt, box_);
-    taken_.resize(n);
-    bool is_inside = true;
-    for (int i = 0; i < n; ++i) {
-      taken_[i] = std::fmin(std::fmax(wanted[i], box_.lower[i]), box_.upper[i]);
-      is_inside &= taken_[i] >= box_.least[i] && taken_[i] <= box_.most[i];
-    }
-    limits.stop_times(taken_, dt, times_);
-    if (!(is_inside && is_clear(taken_, times_, dt))) {
-      if (is_inside && tries > 0 && pairs->has_met()) {
-        const Vector& other = around();
-        return admit(other, other, interval, around, tries - 1);
-      }
-      if (is_inside && pairs->has_met()) held_by = pairs->nearest_met();
-      Vector short_first(n);
-      for (int i = 0; i < n; ++i)
-        short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
-      shorten(taken_, short_first, dt);
-    }
-    move(taken_, times_, interval);
+    grant(kProofs);
+    admit_granted(wanted, first, interval, around, tries);
   }
   void admit(const Vector& wanted, const Vector& first, const Interval& interval) {
     was_moved();
@@ -241,6 +225,13 @@ class Gate : public Exclusive {
  protected:
   Placed start, path_end;  // where the line that was looked at last begins and ends
 
+  // Move by a displacement that nothing has admitted.
+  void go_on(const Vector& displacement, const Interval& interval) {
+    times_.resize(tree.size);
+    limits.stop_times(displacement, interval.dt, times_);
+    move(displacement, times_, interval);
+  }
+
   Feasible feasible_;
 
  private:
@@ -296,6 +287,40 @@ class Gate : public Exclusive {
     return found;
   }
 
+  // Likewise, with the distances that are granted already.
+  template <class Around>
+  void admit_granted(const Vector& wanted, const Vector& first, const Interval& interval,
+                     const Around& around, int tries) {
+    const int n = tree.size;
+    const double dt = interval.dt;
+    held_by = -1;
+    limits.box(motion, dt, box_);
+    taken_.resize(n);
+    bool is_inside = true;
+    for (int i = 0; i < n; ++i) {
+      taken_[i] = std::fmin(std::fmax(wanted[i], box_.lower[i]), box_.upper[i]);
+      is_inside &= taken_[i] >= box_.least[i] && taken_[i] <= box_.most[i];
+    }
+    limits.stop_times(taken_, dt, times_);
+    if (!(is_inside && is_clear(taken_, times_, dt))) {
+      if (is_inside && tries > 0 && pairs->has_met() && !pairs->is_spent()) {
+        const Vector& other = around();
+        return admit_granted(other, other, interval, around, tries - 1);
+      }
+      if (is_inside && pairs->has_met()) held_by = pairs->nearest_met();
+      Vector short_first(n);
+      for (int i = 0; i < n; ++i)
+        short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
+      shorten(taken_, short_first, dt);
+    }
+    move(taken_, times_, interval);
+  }
+
+  // Let proofs measure so many distances for each hand.
+  void grant(std::int64_t distances) {
+    if (pairs) pairs->grant(distances * std::max<std::int64_t>(tree.parts.size(), 1));
+  }
+
   // Whether a displacement and the stop behind it are clear of overlaps.
   bool is_clear(const Vector& displacement, const Vector& times, double dt) {
     if (!pairs) return true;
@@ -343,7 +368,9 @@ class Gate : public Exclusive {
     }
     parts.emplace_back(n);
     std::iota(parts.back().begin(), parts.back().end(), 0);
+    grant(kShortProofs);
     for (const std::vector<int>& own : parts) {
+      const bool is_last = &own == &parts.back();
       for (int i = 0; i < n; ++i) tried[i] = clip(wanted[i], least[i], most[i]);
       std::vector<Vector> candidates{tried};
       for (const double share : kShares) {
@@ -353,6 +380,11 @@ class Gate : public Exclusive {
       candidates.push_back(base);
       bool is_admitted = false;
       for (size_t c = 0; c < candidates.size() && !is_admitted; ++c) {
+        // The smallest share is proved by a few distances.
+        if (pairs && pairs->is_spent() && c + 2 < candidates.size()) {
+          if (is_last) grant(kLastProof);
+          c = candidates.size() - 2;
+        }
         tried = base;
         for (const int i : own) tried[i] = candidates[c][i];
         limits.stop_times(tried, dt, times);
@@ -371,7 +403,10 @@ class Gate : public Exclusive {
       // The line of the stop in force was found clear before.
       for (int i = 0; i < n && !is_admitted; ++i)
         if (limits.together[i]) times[i] = left[i];
-      for (const int i : own) clipped[i] = taken[i];
+      // What could not be looked at by itself may still move with all others.
+      const bool is_unknown = !is_admitted && !is_last && pairs && pairs->is_spent();
+      for (const int i : own)
+        if (!is_unknown) clipped[i] = taken[i];
     }
     taken_ = taken;
     times_ = times;

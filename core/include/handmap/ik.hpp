@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 
 #include "detour_state.hpp"
@@ -30,6 +31,15 @@ struct Posture {
   Vector q;            // in the user's order of joints
   Vector shares = {};  // of the weight, of each joint; all of it if empty
 };
+
+// What is done for one sample, at most: iterations of the QP, solutions with further rows of what comes
+// too near where the step ends, and ways around what meets on it; and whether the step is proved clear.
+struct Effort {
+  int iterations = std::numeric_limits<int>::max(), looks = kLooks, tries = kTries;
+  bool proves = true;
+};
+// Enough to foresee where a hand comes to, at a tenth of the cost; a hand moves by all of it.
+constexpr Effort kRough{1, 1, 0, false};
 
 // What the cost of one sample asks for.
 struct Goal {
@@ -77,7 +87,7 @@ class Ik : public Gate {
 
   // Move the hand towards its targets for one sample.
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
-             Result& result) {
+             Result& result, const Effort& effort = {}) {
     const Interval interval = motion.next(when);
     const double dt = interval.dt;
     at.place(motion.q.data());
@@ -99,7 +109,8 @@ class Ik : public Gate {
     int iterations = 0;
     double last_step = kInfinity;
     bool has_failed = false;
-    while (last_step > settings.step_tolerance && iterations < settings.max_iterations) {
+    const int most_iterations = std::min(settings.max_iterations, effort.iterations);
+    while (last_step > settings.step_tolerance && iterations < most_iterations) {
       // Leave later iterations the rest of the bounds, which hold for the whole sample.
       for (int i = 0; i < n; ++i) {
         least_[i] = lower_[i] - total_[i];
@@ -138,7 +149,7 @@ class Ik : public Gate {
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
     };
     // See qp.PointIk._solve_here.
-    for (int look = 0; has_rows && look < kLooks; ++look) {
+    for (int look = 0; has_rows && look < effort.looks; ++look) {
       if (!add_rows_at_end(total_, linear_)) break;
       solve_again();
       first_ = total_;
@@ -149,10 +160,13 @@ class Ik : public Gate {
       solve_again();
       return total_;
     };
-    admit(total_, first_, interval, go_around, kTries);
+    if (effort.proves)
+      admit(total_, first_, interval, go_around, effort.tries);
+    else
+      go_on(total_, interval);
     if (held_by < 0 && is_pressed_) held_by = pressed_pair(linear_, h_, qp_.slope(kTight), qp_.x);
     at.place(motion.q.data());
-    if (pairs) pairs->arrive(at, path_end);
+    if (pairs && effort.proves) pairs->arrive(at, path_end);
     finish(goal, iterations, last_step, has_failed, result);
   }
 

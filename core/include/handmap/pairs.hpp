@@ -285,6 +285,11 @@ class Pairs {
     }
   }
 
+  // Let proofs of paths measure this many distances from now on. One that needs more fails, so that a
+  // sample costs no more wherever the hand is, on every computer.
+  void grant(std::int64_t distances) { most_queries_ = queries + distances; }
+  bool is_spent() const { return queries >= most_queries_; }
+
   // Whether no pair touches on a straight path from where the robot is to `end`, along a step of all
   // coordinates.
   bool is_clear(const Placed& at, const double* step, const Placed& end) {
@@ -302,6 +307,10 @@ class Pairs {
     };
     visit(farthest_of, is_far, [&](size_t k) {
       const double travel = travel_of(k);
+      if (is_spent()) {
+        is_clear = false;
+        return;
+      }
       if (stays_apart(at, end, partings_[k], keys_[k], travel)) return;
       const bool is_new = stamps_[k] != stamp_;
       const Found& before = found(at, k);
@@ -772,7 +781,7 @@ class Pairs {
         const double middle = 0.5 * (part.low + part.high);
         // All parts of one interval are halved at one point.
         if (at_low != part.low) {
-          if (taken == kMostPoints || has_met()) return false;
+          if (taken == kMostPoints || has_met() || is_spent()) return false;
           ++taken;
           at_low = part.low;
           for (int c = 0; c < tree_.nv; ++c) moved_[c] = middle * step[c];
@@ -793,6 +802,7 @@ class Pairs {
   }
 
   const Tree& tree_;
+  std::int64_t most_queries_ = std::numeric_limits<std::int64_t>::max();
   Placed middle_;
   Vector q_;  // where the robot is
   long stamp_ = 0;
