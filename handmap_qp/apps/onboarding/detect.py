@@ -60,6 +60,7 @@ class Detection(NamedTuple):
         chains: Joints that move each finger, its own and their leaders, by the finger's name.
         runner_up: The next hypothesis of what it is, if it has nearly as much evidence.
         other_roots: Palms of other hands of the robot, if nobody chose one.
+        kind: What its fingers with one flexing joint each are; None if it has none.
     """
 
     spec: HandSpec
@@ -68,6 +69,7 @@ class Detection(NamedTuple):
     chains: dict[str, Names]
     runner_up: Hypothesis | None = None
     other_roots: Names = ()
+    kind: FingerKind | None = None
 
     def doubted(self, findings: Iterable[Any]) -> "Detection":
         """Return the detection with clues that are guesses where a finding contradicts them."""
@@ -229,7 +231,14 @@ def _detect(
         finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
     clues = tuple(hand.clues)
-    return Detection(spec, clues, tuple(notes), chains, hand.runner_up)
+    return Detection(
+        spec,
+        clues,
+        tuple(notes),
+        chains,
+        hand.runner_up,
+        kind=hand.hypothesis.kind,
+    )
 
 
 def _describe(

@@ -173,7 +173,9 @@ def with_thumb(found: Detection, link: str, side: Side | None = None) -> HandSpe
     hand = load_hand(spec)
     joint = hand.model.names[hand.frames[link].parentJoint]
     with suppress(HandError):
-        again = detect(urdf_path(spec), root=spec.root, side=side, thumb=joint).spec
+        again = detect(
+            urdf_path(spec), root=spec.root, side=side, thumb=joint, kind=found.kind
+        ).spec
         is_same = again.palm.link == spec.palm.link and not spec.mirror
         # The thumb's joints come first in a new description.
         if is_same and {*again.joints} == {*spec.joints}:
