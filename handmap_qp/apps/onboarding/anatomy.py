@@ -15,7 +15,7 @@ from handmap_qp.hands import Side
 from .finger_names import named_fingers, named_side
 from .finger_order import name_fingers
 from .flexion import HandFlexion
-from .hypotheses import CLEAR_FLEXION, LIKELY, Hypothesis, score
+from .hypotheses import CLEAR_FLEXION, DISPUTED, LIKELY, Hypothesis, score
 from .layout import lay_out
 from .palm_directions import find_distal, find_dorsal, thumb_height
 from .robot import Robot
@@ -303,6 +303,11 @@ def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
     if following and (note := mine.doubt(following)):
         best.runner_up = following
         best.notes.append(note)
+    rivals = (one for one in ranking if one.kind != mine.kind)
+    if (rival := next(rivals, None)) and mine.is_near(rival):
+        # Another kind of fingers is straight elsewhere.
+        for what in ("distal", "dorsal"):
+            best.told(what, f"its fingers may be {rival.kind}", DISPUTED)
     return best
 
 

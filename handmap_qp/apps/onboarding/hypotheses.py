@@ -123,9 +123,13 @@ class Hypothesis(NamedTuple):
         answers = zip(whats, self.answer, other.answer, strict=True)
         return [what for what, mine, theirs in answers if mine != theirs]
 
+    def is_near(self, other: "Hypothesis") -> bool:
+        """Return whether another one has nearly as much evidence."""
+        return self.score - other.score < SMALL_MARGIN
+
     def doubt(self, following: "Hypothesis") -> str:
         """Return a note about the next hypothesis, and how to choose it, if it is near."""
-        if self.score - following.score >= SMALL_MARGIN:
+        if not self.is_near(following):
             return ""
         options, words = [], []
         if self.thumb != following.thumb:
