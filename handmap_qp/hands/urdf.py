@@ -362,8 +362,10 @@ def _checked_kind(joint: Element) -> str:
     try:
         for element in joint:
             counts = _NUMBERS.get(element.tag, {})
-            for key in counts.keys() & element.keys():
-                get_numbers(element, key, counts[key])
+            # In the order of the table: the same file always has the same message.
+            for key, count in counts.items():
+                if key in element.attrib:
+                    get_numbers(element, key, count)
     except HandError as error:
         raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
     return kind

@@ -31,6 +31,7 @@ from handmap_core.mapping.targets import (
     core_pose,
 )
 from .alignment import AlignedOptions, find_alignment
+from .assumed_speeds import ASSUMED_SHARE, AssumedSpeeds, assumed_joints, assumed_note
 from .custom_method import (
     CustomMethod,
     JointAnswer,
@@ -82,6 +83,7 @@ from .robot_mapper import RobotMapper
 from .target_source import TargetSource
 
 __all__ = [
+    "ASSUMED_SHARE",
     "FOLLOWING",
     "IK_NAMES",
     "KINDS",
@@ -90,6 +92,7 @@ __all__ = [
     "PRESETS",
     "AlignedOptions",
     "AnyPose",
+    "AssumedSpeeds",
     "Box",
     "Choice",
     "CoreMap",
@@ -132,6 +135,8 @@ __all__ = [
     "Targets",
     "alignment_from_gestures",
     "arm_held_by",
+    "assumed_joints",
+    "assumed_note",
     "bone_lengths",
     "check_dt",
     "check_joints",

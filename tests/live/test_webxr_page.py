@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from handmap_qp.apps.live.service import ServiceSource
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
-from handmap_qp.mapping import fist_time, slow_note
+from handmap_qp.mapping import assumed_note, assumed_speeds, fist_time, slow_note
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 
@@ -227,6 +228,29 @@ def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:
     assert not browser.evaluate(is_hidden.format("right"))
     assert text(browser, "#left .slow") == ""
     assert browser.evaluate(is_hidden.format("left"))
+    click(browser, "#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
+
+
+def test_a_robot_that_assumed_speeds_hold_has_a_line(
+    browser: Browser, server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # However seldom they do, and however few the samples are.
+    monkeypatch.setattr(assumed_speeds, "ASSUMED_SHARE", -1.0)
+    monkeypatch.setattr(assumed_speeds, "_LEAST_SAMPLES", 0)
+    start(browser, server, words="?right=leap_right&left=three_finger")
+    show_hands(browser, "right", "left")
+    lines = "[...document.querySelectorAll('#robots .assumed')]"
+    browser.wait_for(f"{lines}.some((line) => line.textContent)")
+    (shown,) = browser.evaluate(
+        f"{lines}.filter((line) => !line.hidden).map((line) => line.textContent)"
+    )
+    counted = sessions(server)["webxr-right"].state(0, "0", 0, 0.0).assumed_speed
+    assert counted is not None
+    # The words are those of the package; the counts go on.
+    numbers = r"\d+ %|often \w*"
+    assert re.sub(numbers, "", shown) == re.sub(numbers, "", assumed_note(counted))
     click(browser, "#end")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []

@@ -29,7 +29,7 @@ from handmap_qp.apps.onboarding.choices import (
     first_question,
     question,
 )
-from handmap_qp.apps.onboarding.detect import Detection
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.editor import HandEditor
 from handmap_qp.apps.onboarding.finger_permutation import all_tips
 from handmap_qp.apps.onboarding.hand_choice import first_hand
@@ -163,6 +163,42 @@ def test_the_other_palm_of_a_robot_is_one_click_away(
         assert {*editor.names} == {tip.link for tip in all_tips(editor.hand).values()}
         assert len(editor.joints) == len(editor.hand.joint_names)
         assert not editor.message.visible
+
+
+def test_fingers_that_were_taken_for_jaws_are_three_clicks_away(tmp_path: Path) -> None:
+    """Another kind of fingers is straight elsewhere: palm and rest are found again."""
+    one_joint = replace(ROW, joints=1, span=(-0.5, 1.2))
+    truth = _described(tmp_path, one_joint)
+    assert truth.kind == "fingers"
+    wrong = edit.described(
+        detect(tmp_path / "row.urdf", kind="jaws"),
+        RobotSource(tmp_path / "row.urdf", str(tmp_path / "row.urdf")),
+    )
+    assert wrong.spec.palm != truth.spec.palm
+    assert wrong.spec.rest != truth.spec.rest
+    with _page(wrong, tmp_path) as editor:
+        editor.tick()
+        assert editor._kinds.visible
+        assert editor.kind.value == "jaws"
+        # The user has said which finger is the thumb: that is held.
+        editor._press("names", None)
+        editor.tick()
+        editor.kind.value = "fingers"
+        editor._press("kind", None)
+        editor.tick()
+        wait_until(lambda: editor.tick() or not editor._search.is_busy)
+        assert not editor.message.visible
+        assert editor.found.spec.palm.distal == truth.spec.palm.distal
+        shown = [slider.value for slider in editor.joints]
+        np.testing.assert_allclose(shown, editor.hand.rest, atol=1e-9)
+        assert editor.kind.value == "fingers"
+        assert _thumb(editor.found.spec) == _thumb(wrong.spec)
+
+
+def test_fingers_that_curl_have_no_list_of_kinds(tmp_path: Path) -> None:
+    with _page(_described(tmp_path, CLEAR), tmp_path) as editor:
+        editor.tick()
+        assert not editor._kinds.visible
 
 
 def test_buttons_stay_while_a_page_is_rebuilt(

@@ -197,3 +197,13 @@ def test_two_hands_of_one_side_can_be_chosen(tmp_path: Path) -> None:
             tmp_path / "two.xml", out=out, root=root, side="right"
         ).hands
         assert hand.hand.side == "right"
+
+
+def test_of_several_wrong_numbers_the_same_one_is_always_named(tmp_path: Path) -> None:
+    """Sets of words have another order in every process."""
+    limit = '<limit lower="a" upper="b" velocity="c" effort="d"/>'
+    text = (
+        '<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="revolute">'
+        f'<parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{limit}</joint></robot>'
+    )
+    assert "<limit lower>" in _refusal(tmp_path / "x.urdf", text)

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from box_hands import NAMES, BoxHand
+from box_hands import NAMES, BoxHand, pair_against_one
 
 from handmap_qp.apps.onboarding.anatomy import Anatomy, find_anatomy
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.hypotheses import TERMS, Hypothesis, score
 from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.apps.onboarding.single_joints import FingerKind
 from handmap_qp.apps.onboarding.structure import find_structure
 from handmap_qp.apps.onboarding.two_hands import PairedSide
 from handmap_qp.hands import Side
@@ -25,7 +26,11 @@ HAND = BoxHand(turn=np.eye(3), names=PLAIN)
 
 
 def _anatomy(hand: BoxHand, paired: PairedSide | None = None) -> Anatomy:
-    robot = Robot(Path("x"), hand.urdf())
+    return _anatomy_of(hand.urdf(), paired)
+
+
+def _anatomy_of(text: str, paired: PairedSide | None = None) -> Anatomy:
+    robot = Robot(Path("x"), text)
     return find_anatomy(robot, find_structure(robot), paired=paired)
 
 
@@ -64,6 +69,47 @@ def test_a_hand_needs_each_kind_of_evidence(name: str) -> None:
     assert anatomy.fingers[0].joint_names[0].startswith(hand.names[0])
 
 
+# Fingers with one joint each that need each kind of evidence for what they are.
+SINGLE = replace(HAND, joints=1)
+KINDS: dict[str, tuple[str, FingerKind]] = {
+    "parallel": (replace(SINGLE, span=EVEN).urdf(), "fingers"),
+    "range": (
+        replace(SINGLE, names=("thumb", "fingers"), span=EVEN).urdf(), "jaws"
+    ),
+    "apart": (pair_against_one(gap=0.01, sense=-1.0), "jaws"),
+    "thumb and finger": (replace(SINGLE, names=("thumb", "fingers")).urdf(), "fingers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_fingers_with_one_joint_need_each_kind_of_evidence(name: str) -> None:
+    text, kind = KINDS[name]
+    anatomy = _anatomy_of(text)
+    best, _ = _leader(anatomy)
+    less, _ = _leader(anatomy, without=name)
+    assert best.kind == kind
+    assert less.kind not in (None, kind)
+
+
+def test_fingers_that_curl_are_of_one_kind() -> None:
+    assert {one.kind for one in _anatomy(HAND).ranking} == {None}
+
+
+def test_a_near_kind_is_named_with_the_option_that_chooses_it() -> None:
+    """Two alike fingers: one is a thumb by its name, and zero is well inside of the ranges."""
+    text = replace(SINGLE, names=("thumb", "fingers"), span=(-0.5, 1.2)).urdf()
+    found = detect(Path("x"), text)
+    (note,) = (note for note in found.notes if "choose that" in note)
+    assert "its fingers may be " in note
+    kind = note.partition("--kind ")[2].split()[0]
+    # What depends on the kind is no surer than it.
+    sure = {clue.what: clue.confidence for clue in found.clues}
+    assert max(sure["distal"], sure["dorsal"], sure["rest"]) < 0.6
+    other = detect(Path("x"), text, kind="jaws" if kind == "jaws" else "fingers")
+    assert other.spec.palm.distal != found.spec.palm.distal
+    assert not any("--kind" in note for note in other.notes)
+
+
 def test_the_values_of_all_evidence_are_bounded_and_known() -> None:
     names = {term.name for term in TERMS}
     for hand, _, paired in NEEDED.values():
@@ -99,7 +145,7 @@ def test_a_thumb_before_the_palm_outweighs_a_wrong_side_in_the_names() -> None:
 
 
 def test_each_kind_of_evidence_has_a_hand() -> None:
-    assert {term.name for term in TERMS} == {*NEEDED, "thumb ahead"}
+    assert {term.name for term in TERMS} == {*NEEDED, "thumb ahead", *KINDS}
 
 
 def test_names_of_the_others_overrule_the_order_of_the_file() -> None:

@@ -1,11 +1,16 @@
 """Configurations of dex-retargeting become descriptions with the same reference points."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, cli, load_hand
+from handmap_qp.apps.onboarding.migrate import migrate
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands import FINGERS
 from handmap_qp.hands.sources import urdf_path
 
 TIPS = {
@@ -75,6 +80,67 @@ def test_links_become_reference_points_of_a_hand_that_maps(
     assert np.isfinite(step.command.q).all()
 
 
+FIVE = ("thumb_tip", "index_tip", "middle_tip", "ring_tip", "pinky_tip")
+# Links of dex-retargeting's own configurations, in the order of a person's fingers.
+LINKS = {
+    "ability_right": FIVE,
+    "inspire_right": FIVE,
+    "svh_right": ("thtip", "fftip", "mftip", "rftip", "lftip"),
+    "leap_right": ("th_ds", "if_ds", "mf_ds", "rf_ds"),
+    "panda_gripper": ("panda_leftfinger", "panda_rightfinger"),
+}
+
+
+def _configurations(links: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Return a configuration of each type for the links of a hand, as dex-retargeting has them."""
+    tips = [4, 8, 12, 16, 20][: len(links)]
+    vector: dict[str, Any] = {
+        "target_origin_link_names": ["wrist"] * len(links),
+        "target_task_link_names": links,
+        "target_link_human_indices": [[0] * len(links), tips],
+    }
+    if len(links) == 2:
+        # A gripper has one vector from jaw to jaw.
+        vector = {
+            "target_origin_link_names": links[:1],
+            "target_task_link_names": links[1:],
+            "target_link_human_indices": [tips[:1], tips[1:]],
+        }
+    return {
+        "vector": vector,
+        "position": {"target_link_names": links, "target_link_human_indices": tips},
+        "DexPilot": {"wrist_link_name": "wrist", "finger_tip_link_names": links},
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LINKS)
+def test_configurations_of_every_type_give_the_same_hand(
+    name: str, tmp_path: Path
+) -> None:
+    try:
+        own = load_hand(name)
+        file = urdf_path(own.spec)
+    except HandmapError as error:
+        pytest.skip(str(error))
+    links = LINKS[name]
+    found = {}
+    for kind, table in _configurations(links).items():
+        config = tmp_path / f"{kind}.yml"
+        text = {"retargeting": {"type": kind, "urdf_path": str(file)} | table}
+        config.write_text(json.dumps(text))
+        found[kind] = migrate(config, None, None).spec
+        hand = load_hand(found[kind], points="fingertips")
+        named = {point.finger: point.link for point in hand.reference_points}
+        assert named == dict(zip(FINGERS, links, strict=False))
+        human = load_hand("human" if hand.side == "right" else "human_left")
+        step = HandMapper(human, hand, dt=1 / 60).map_step(human.rest, np.eye(4))
+        assert np.isfinite(step.command.q).all()
+    assert found["vector"] == found["position"] == found["DexPilot"]
+    # A gripper has no side.
+    assert len(links) == 2 or found["vector"].side == own.side
+
+
 def test_points_besides_the_tips_are_taken_over(folder: Path) -> None:
     (folder / "config.yml").write_text(POSITION)
     assert cli.main(["hands", "migrate", "config.yml"]) == 0
@@ -111,6 +177,10 @@ def test_settings_without_a_counterpart_are_named(
         (
             VECTOR.replace("[4, 8, 12, 16]", "[4, 8, 12, 61]"),
             "expected 4 indices of landmarks",
+        ),
+        (
+            VECTOR.replace("[0, 0, 0, 0]", "[1, 0, 0]"),
+            "expected 4 indices of landmarks from 0 to 20 for target_origin_link_names",
         ),
         (VECTOR.replace("link_3.0_tip", "link_99"), "no link 'link_99'"),
         (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from box_hands import BoxHand, turns
+from box_hands import NAMES, BoxHand, pair_against_one, turns
 
 from handmap_qp.apps.onboarding.detect import Detection, detect
 
@@ -36,9 +36,9 @@ def test_such_a_hand_is_straight_at_zero_however_its_axes_lie(sense: float) -> N
         assert all(0.2 < sense * at < 1.0 for at in found.spec.rest.values())
 
 
-@pytest.mark.parametrize("span", [(-0.1, 1.2), (0.0, 1.6)])
+@pytest.mark.parametrize("span", [(-0.1, 1.2), (0.0, 1.6), (-0.3, 1.2), (-0.5, 1.2)])
 @pytest.mark.parametrize("place", [(0.02, 0.05, -0.01), (0.09, 0.05, 0.0)])
-def test_a_joint_may_stretch_a_little_beyond_zero(
+def test_a_joint_may_stretch_beyond_zero(
     span: tuple[float, float], place: tuple[float, float, float]
 ) -> None:
     hand = BoxHand(joints=1, span=span, thumb=place, turn=np.eye(3))
@@ -48,32 +48,48 @@ def test_a_joint_may_stretch_a_little_beyond_zero(
     assert found.spec.side == "right"
 
 
-def _gripper(is_open: bool) -> str:
-    """Return two jaws beside each other against a third one, with boxes along x.
-
-    They turn to each other from zero, or away from each other.
-    """
-    parts = '<link name="base"/>'
-    for name, y, z in (("a", 0.02, 0.03), ("b", -0.02, 0.03), ("c", 0.0, -0.03)):
-        inwards = np.sign(z) * (1.0 if is_open else -1.0)
-        parts += (
-            f'<link name="{name}"><visual><origin xyz=".04 0 0"/><geometry>'
-            f'<box size=".08 .02 .01"/></geometry></visual></link>'
-            f'<joint name="j{name}" type="revolute"><parent link="base"/><child link="{name}"/>'
-            f'<origin xyz=".05 {y} {z if is_open else z / 3}"/><axis xyz="0 {inwards} 0"/>'
-            '<limit lower="0" upper=".5" effort="1" velocity="2"/></joint>'
-        )
-    return f'<robot name="x">{parts}</robot>'
-
-
 @pytest.mark.parametrize("is_open", [True, False])
 def test_jaws_that_are_parallel_at_zero_close_all_the_same(is_open: bool) -> None:
-    found = detect(Path("x"), _gripper(is_open))
+    text = pair_against_one() if is_open else pair_against_one(gap=0.01, sense=-1.0)
+    found = detect(Path("x"), text)
     assert found.chains["thumb"] == ("jc", "jc")
     # The back is away from the thumb, and the rest is between open and closed.
     assert found.spec.palm.dorsal[2] > 0.8
     assert found.spec.palm.distal[0] > 0.8
     assert all(0.0 < at < 0.5 for at in found.spec.rest.values())
+
+
+def test_a_row_with_even_ranges_is_straight_at_zero() -> None:
+    """Nothing says to which side they flex, but no gripper has five jaws in a row."""
+    for names in (PLAIN, NAMES):
+        hand = BoxHand(names=names, joints=1, span=(-0.6, 0.6), turn=np.eye(3))
+        found = detect(Path("x"), hand.urdf())
+        dorsal, distal = _dorsal_and_distal(found, hand)
+        np.testing.assert_allclose(distal, [1.0, 0.0, 0.0], atol=1e-6)
+        assert abs(dorsal[2]) > 0.99
+        (clue,) = (clue for clue in found.clues if clue.what == "dorsal")
+        assert clue.confidence < 0.6
+
+
+@pytest.mark.parametrize("span", [(-0.5, 0.0), (-0.7, 0.3), (-0.25, 0.25)])
+def test_a_pair_against_one_points_along_the_middle(span: tuple[float, float]) -> None:
+    """They are open at an end of their ranges, where each side leans outwards."""
+    found = detect(Path("x"), pair_against_one(span=span))
+    assert found.chains["thumb"] == ("jc", "jc")
+    np.testing.assert_allclose(found.spec.palm.distal, [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(found.spec.palm.dorsal, [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_the_kind_of_fingers_can_be_given() -> None:
+    text = BoxHand(names=PLAIN, joints=1, turn=np.eye(3)).urdf()
+    found, fingers, jaws = (
+        detect(Path("x"), text, kind=kind) for kind in (None, "fingers", "jaws")
+    )
+    assert fingers.spec == found.spec
+    assert jaws.spec.palm.distal != found.spec.palm.distal
+    # It says nothing of fingers that curl.
+    curled = BoxHand(turn=np.eye(3)).urdf()
+    assert detect(Path("x"), curled, kind="jaws").spec == detect(Path("x"), curled).spec
 
 
 def test_a_thumb_by_name_beside_one_finger_is_no_jaw() -> None:

@@ -1,4 +1,4 @@
-"""Hands of boxes with known palm and side: plain fingers along an axis, as URDFs."""
+"""Hands and jaws of boxes with known palm and side: plain fingers along an axis, as URDFs."""
 
 from __future__ import annotations
 
@@ -88,3 +88,27 @@ class BoxHand:
             f'<visual><origin xyz="{self._turned(centre)}"/><geometry><box size="{sides}"/>'
             "</geometry></visual>"
         )
+
+
+def pair_against_one(
+    gap: float = 0.03, span: tuple[float, float] = (0.0, 0.5), sense: float = 1.0
+) -> str:
+    """Return a URDF of two jaws beside each other, `ja` and `jb`, against a third one, `jc`.
+
+    They are boxes along x, which close along z.
+
+    Args:
+        gap: Height of their joints over the middle [m].
+        span: Range of each joint; they close towards positive positions [rad].
+        sense: -1 for joints that open towards positive positions.
+    """
+    parts = '<link name="base"/>'
+    for name, y, z in (("a", 0.02, gap), ("b", -0.02, gap), ("c", 0.0, -gap)):
+        parts += (
+            f'<link name="{name}"><visual><origin xyz=".04 0 0"/><geometry>'
+            f'<box size=".08 .02 .01"/></geometry></visual></link>'
+            f'<joint name="j{name}" type="revolute"><parent link="base"/><child link="{name}"/>'
+            f'<origin xyz=".05 {y} {z}"/><axis xyz="0 {sense * np.sign(z)} 0"/>'
+            f'<limit lower="{span[0]}" upper="{span[1]}" effort="1" velocity="2"/></joint>'
+        )
+    return f'<robot name="x">{parts}</robot>'

@@ -424,6 +424,11 @@ def test_a_slow_hand_has_a_line(server: Any, source: Any, note: str) -> None:
     viewer.tick()
     assert viewer.slow_text.content == note
     assert viewer.slow_text.visible == bool(note)
+    # The service counts on.
+    source.slow_note = "Assumed speed limits held a joint."
+    viewer.tick()
+    assert viewer.slow_text.content == source.slow_note
+    assert viewer.slow_text.visible
     viewer.close()
 
 

@@ -42,6 +42,7 @@ from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.client import Client, Command
 from handmap_qp.client.messages import About
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.mapping import assumed_speeds
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 from handmap_qp.trackers.formats import DEMO, read_hands
@@ -207,6 +208,22 @@ def test_the_service_says_whether_the_hand_is_slow(
     expected = f"needs {fist.time:.1f} s for a fist: a person is faster"
     assert (expected in session.slow_note) == is_slow
     assert bool(session.slow_note) == is_slow
+
+
+@pytest.mark.slow
+def test_the_service_says_how_often_assumed_speeds_hold_the_hand(
+    service: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # However seldom they do, and however few the samples are.
+    monkeypatch.setattr(assumed_speeds, "ASSUMED_SHARE", -1.0)
+    monkeypatch.setattr(assumed_speeds, "_LEAST_SAMPLES", 0)
+    with (
+        connected(service, "leap_right", None, name="lab", has_detail=True) as client,
+        moving(client),
+        watching(service, session="lab") as (session, samples),
+    ):
+        while "Assumed speed limits held a joint" not in session.slow_note:
+            next(samples)
 
 
 @pytest.mark.slow

@@ -554,6 +554,20 @@ class Fist(Struct, frozen=True):
     is_assumed: bool = False
 
 
+class AssumedSpeed(Struct, frozen=True):
+    """How often speed limits that are only assumed held the robot.
+
+    Attributes:
+        share: Share of the session's samples in which an assumed speed limit held a joint.
+        joint: The joint that was held most often; empty if none was.
+        is_often: Whether the share of enough samples is large enough to tell people.
+    """
+
+    share: float
+    joint: str = ""
+    is_often: bool = False
+
+
 class Opened(Reply):
     """The session is open.
 
@@ -771,6 +785,8 @@ class State(Reply):
         stream_port: Port of the streams (ZeroMQ PUB).
         about: Hands and options of the session.
         fist: How long the session's robot takes for a fist; null if not known.
+        assumed_speed: How often assumed speed limits held the session's robot; null if none is
+            assumed.
         load: Share of the last second in which the server worked; null if not measured. Of a
             session: what its samples took.
         samples_per_second: Samples that the server mapped in the last second; only of the server.
@@ -792,6 +808,7 @@ class State(Reply):
     stream_port: int = 0
     about: About | None = None
     fist: Fist | None = None
+    assumed_speed: AssumedSpeed | None = None
     load: float | None = None
     samples_per_second: float = 0.0
     busy: Names = ()

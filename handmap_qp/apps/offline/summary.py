@@ -9,15 +9,13 @@ import numpy as np
 from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import Recording
-from handmap_qp.mapping import arm_held_by, fist_time
+from handmap_qp.mapping import ASSUMED_SHARE, arm_held_by, assumed_joints, fist_time
 from .closings import closing_times
 from .leaning import measure_leaning
 from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
-ASSUMED_SHARE = 0.02
-"""The same of speed limits that are assumed: the robot itself may be faster."""
 # A wrist this far from its target is out of reach [m], in more than this share of the samples.
 _WRIST_OFF, _LATE_SHARE = 0.02, 0.05
 # A waist that is at a limit in more than this share of the samples may make a robot fall.
@@ -51,7 +49,7 @@ def summarise(trajectory: Trajectory) -> Values:
     seen = trajectory.valid
     is_slow = trajectory.at_speed_limit[seen]
     shares = is_slow.mean(axis=0)
-    assumed = [name for hand in robot.hands for name in hand.spec.assumed_speeds]
+    assumed = assumed_joints(robot)
     is_assumed = np.isin(robot.joint_names, assumed)
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]

@@ -4,22 +4,23 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from handmap_core.se3 import Array
-from handmap_qp.hands import THUMB, Side
+from handmap_qp.hands import Side
 from .finger_names import named_fingers, named_side
 from .finger_order import name_fingers
 from .flexion import HandFlexion
-from .hypotheses import CLEAR_FLEXION, LIKELY, Hypothesis
+from .hypotheses import CLEAR_FLEXION, DISPUTED, LIKELY, Hypothesis, score
 from .layout import lay_out
 from .palm_directions import find_distal, find_dorsal, thumb_height
 from .robot import Robot
 from .sides import Declared, find_radial, find_side
+from .single_joints import FingerKind, find_single_joints
 from .structure import Clue, RobotFinger, Structure
 from .thumbs import find_thumb
 from .two_hands import PairedSide
@@ -43,6 +44,9 @@ class Parts(NamedTuple):
         labels: The anatomical name in these, of each finger.
         flexion: How all fingers flex.
         surface: Points of the palm's surface in its link's frame [m], shape (k, 3).
+        kind: What fingers with one flexing joint are; None if there are none.
+        straight: Confidence in these that zero is straight, 0 of jaws, shape (F,).
+        values: Evidence for that kind.
     """
 
     robot: Robot
@@ -53,6 +57,9 @@ class Parts(NamedTuple):
     labels: list[str | None]
     flexion: HandFlexion
     surface: Array
+    kind: FingerKind | None
+    straight: Array
+    values: Mapping[str, float]
 
 
 def find_anatomy(
@@ -61,6 +68,7 @@ def find_anatomy(
     side: Side | None = None,
     thumb: str | None = None,
     paired: PairedSide | None = None,
+    kind: FingerKind | None = None,
 ) -> "Anatomy":
     """Return what a hand most likely is, of all that it may be.
 
@@ -70,28 +78,64 @@ def find_anatomy(
         side: The side, if known.
         thumb: A link or joint of the thumb, if known.
         paired: The side by the other hand of a robot, if there is one.
+        kind: What fingers with one flexing joint each are, if known.
 
     Raises:
         HandError: If no finger has that link or joint.
     """
-    palm, fingers, notes = structure
-    names = [[*finger.joint_names, *finger.links] for finger in fingers]
-    labels = named_fingers(names)
-    flexion = HandFlexion(robot, fingers, has_thumb=THUMB in labels)
-    surface = robot.palm_surface()
-    parts = Parts(robot, palm, fingers, notes, names, labels, flexion, surface)
-    given = None if thumb is None else _given_thumb(parts, thumb)
-    first = Anatomy(parts, side, paired, given)
-    thumbs = [given] if given is not None else range(len(fingers) * (len(fingers) > 2))
+    readings = _readings(robot, structure, kind)
+    given = None if thumb is None else _given_thumb(readings[0], thumb)
+    first, *others = (Anatomy(parts, side, paired, given) for parts in readings)
+    count = len(structure.fingers)
+    thumbs = [given] if given is not None else range(count * (count > 2))
     ways = (None,) if side or (paired and paired.is_forced) else (False, True)
-    others = [
+    others += [
         Anatomy(parts, side, paired, given, assumed=i, is_turned=is_turned)
+        for parts in readings
         for i in thumbs
         for is_turned in ways
     ]
     best = choose(first, others)
     best.settle()
     return best
+
+
+def _readings(
+    robot: Robot, structure: Structure, given: FingerKind | None
+) -> list[Parts]:
+    """Return what a hand consists of, once for each kind that its fingers may be.
+
+    The first one has most evidence of its kind.
+    """
+    palm, fingers, notes = structure
+    names = [[*finger.joint_names, *finger.links] for finger in fingers]
+    labels = named_fingers(names)
+    surface = robot.palm_surface()
+    single = find_single_joints(robot, fingers, labels)
+
+    def reading(kind: FingerKind | None) -> Parts:
+        sense = -1.0 if kind == "jaws" else 1.0
+        straight = single.straight * (kind != "jaws")
+        values = {name: sense * value for name, value in single.values.items()}
+        flexion = HandFlexion(robot, fingers, straight=straight)
+        return Parts(
+            robot,
+            palm,
+            fingers,
+            notes,
+            names,
+            labels,
+            flexion,
+            surface,
+            kind,
+            straight,
+            values,
+        )
+
+    if not single.is_ambiguous:
+        return [reading(None)]
+    kinds = (given,) if given else get_args(FingerKind)
+    return sorted(map(reading, kinds), key=lambda parts: -score(parts.values))
 
 
 class Anatomy:
@@ -137,7 +181,7 @@ class Anatomy:
         self.notes = [*parts.notes]
         self._paired = paired
         self.flexion = flexion = parts.flexion
-        self._values: dict[str, float] = {}
+        self._values = {**parts.values}
         self.ranking: tuple[Hypothesis, ...] = ()
         self.runner_up: Hypothesis | None = None
         # The thumb, if there are several fingers, and the other ones.
@@ -179,7 +223,7 @@ class Anatomy:
         has_side = radial.confidence > 0.2
         self._weigh(dorsal, has_side=has_side, sense=-1.0 if is_over else 1.0)
         self.hypothesis = Hypothesis(
-            found_thumb, clue.answer, self.side, is_over, self._values
+            found_thumb, clue.answer, self.side, is_over, self._values, parts.kind
         )
 
     def _weigh(self, dorsal: Clue, *, has_side: bool, sense: float) -> None:
@@ -204,7 +248,7 @@ class Anatomy:
                 self.robot,
                 self._parts.fingers,
                 palmar=-self.dorsal,
-                has_thumb=THUMB in self._parts.labels,
+                straight=self._parts.straight,
             )
 
     def told(self, what: str, how: str, most: float) -> None:
@@ -242,7 +286,7 @@ def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
 
     Args:
         first: The one that is found step by step; it yields only to a clearly better one.
-        others: All others, and this one again.
+        others: All others, and perhaps this one again.
     """
     ranked = sorted(others, key=lambda one: -one.hypothesis.score)
     best = first
@@ -259,6 +303,11 @@ def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
     if following and (note := mine.doubt(following)):
         best.runner_up = following
         best.notes.append(note)
+    rivals = (one for one in ranking if one.kind != mine.kind)
+    if (rival := next(rivals, None)) and mine.is_near(rival):
+        # Another kind of fingers is straight elsewhere.
+        for what in ("distal", "dorsal"):
+            best.told(what, f"its fingers may be {rival.kind}", DISPUTED)
     return best
 
 

@@ -1,7 +1,8 @@
 """What a hand may be instead: pairs of descriptions, of which a user chooses one by pictures.
 
-First come other readings of the file that have nearly as much evidence: another thumb or side, or
-another palm of the robot. Then come other directions of the palm, by quarter turns.
+First come other readings of the file that have nearly as much evidence: another thumb or side, jaws
+instead of fingers, or another palm of the robot. Then come other directions of the palm, by quarter
+turns.
 """
 
 from typing import Any, NamedTuple
@@ -103,12 +104,12 @@ def _known(found: Detection, spec: HandSpec) -> Detection:
 
 
 def _runner_up(found: Detection) -> Question:
-    """Ask for the thumb and the side."""
+    """Ask for the thumb, the side, and what the fingers are."""
     spec = found.spec
     following = found.runner_up
     assert following is not None
-    other = at_root(found, spec.root, following.side, following.link)
-    if _words(other.spec) == _words(spec):
+    other = at_root(found, spec.root, following.side, following.link, following.kind)
+    if _words(other.spec) == _words(spec) and other.spec.palm == spec.palm:
         # Options of the detection cannot tell them apart.
         other = corrected(found, with_palm_turned(load_hand(spec)))
     choices = (
@@ -143,6 +144,8 @@ def _differences(one: HandSpec, other: HandSpec) -> str:
     """Return how two descriptions differ, in words."""
     pairs = zip(_words(one).items(), _words(other).values(), strict=True)
     different = [(what, a, b) for (what, a), b in pairs if a != b]
+    if not different and one.palm.distal != other.palm.distal:
+        return "The fingers of the right one are straight in another posture."
     if not different:
         return "The right one has its palm turned over."
     left, right = (

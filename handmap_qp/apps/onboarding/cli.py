@@ -20,6 +20,7 @@ from .match import match_hand
 from .migrate import migrate
 from .pack import DEFAULT_TRIANGLES, pack_hand
 from .picture import draw_hand, draw_match, draw_robot, picture_path
+from .single_joints import FingerKind
 from .write import check_free, write_hand
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
@@ -182,6 +183,8 @@ class HandsInit:
             hands it is the root of the robot unless given.
         side: Side of the hand.
         thumb: Name of a link or joint of the thumb.
+        kind: What fingers with one joint each are: fingers are straight at zero, jaws are open at
+            one end of their ranges.
         speed: Speed limit of all joints of the hand, where those of the URDF are placeholders, and
             of their followers [rad/s or m/s]. Where the maker's is known, init says so.
         name: Name of the hand or robot.
@@ -197,6 +200,9 @@ class HandsInit:
     base: Annotated[str | None, hinted("LINK", "(default: the wrist floats)")] = None
     side: Annotated[Side | None, hinted("{right,left}", "(default: found)")] = None
     thumb: Annotated[str | None, hinted("LINK", "(default: found)")] = None
+    kind: Annotated[FingerKind | None, hinted("{fingers,jaws}", "(default: found)")] = (
+        None
+    )
     speed: Annotated[float | None, hinted("SPEED", "(default: as the URDF says)")] = (
         None
     )
@@ -215,6 +221,7 @@ class HandsInit:
                 base=self.base,
                 side=self.side,
                 thumb=self.thumb,
+                kind=self.kind,
                 speed=self.speed,
                 name=self.name,
                 overwrite=self.overwrite,

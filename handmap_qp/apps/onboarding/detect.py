@@ -30,6 +30,7 @@ from handmap_qp.hands import (
 from .anatomy import Anatomy, find_anatomy
 from .hypotheses import Hypothesis
 from .robot import Robot
+from .single_joints import FingerKind
 from .structure import Clue, RobotFinger, find_palms, find_structure, passed_over
 from .two_hands import PairedSide, paired_sides
 
@@ -59,6 +60,7 @@ class Detection(NamedTuple):
         chains: Joints that move each finger, its own and their leaders, by the finger's name.
         runner_up: The next hypothesis of what it is, if it has nearly as much evidence.
         other_roots: Palms of other hands of the robot, if nobody chose one.
+        kind: What its fingers with one flexing joint each are; None if it has none.
     """
 
     spec: HandSpec
@@ -67,6 +69,7 @@ class Detection(NamedTuple):
     chains: dict[str, Names]
     runner_up: Hypothesis | None = None
     other_roots: Names = ()
+    kind: FingerKind | None = None
 
     def doubted(self, findings: Iterable[Any]) -> "Detection":
         """Return the detection with clues that are guesses where a finding contradicts them."""
@@ -87,27 +90,32 @@ def detect_hands(
     base: str | None = None,
     side: Side | None = None,
     thumb: str | None = None,
+    kind: FingerKind | None = None,
     name: str | None = None,
 ) -> list[Detection]:
     """Find the hand in a URDF file, or the left and the right hand of a robot with their arms.
 
     Args:
         urdf: The file.
-        root: As in `detect`. If `root`, `side` or `thumb` is given, one hand is looked for.
+        root: As in `detect`. If `root`, `side`, `thumb` or `kind` is given, one hand is looked for.
         base: As in `detect`; that of two hands is the robot's root if omitted.
         side: As in `detect`.
         thumb: As in `detect`.
+        kind: As in `detect`.
         name: Name of a single hand; that of the robot if omitted.
 
     Raises:
         HandError: If the URDF cannot be used, or contains no hand, or others than these.
     """
-    if not (root or side or thumb):
+    if not (root or side or thumb or kind):
         robot = Robot(urdf)
         palms = find_palms(robot)
         if len(palms) == 2:
             return _detect_two(robot, (palms[0], palms[1]), base)
-    return [detect(urdf, root=root, base=base, side=side, thumb=thumb, name=name)]
+    one = detect(
+        urdf, root=root, base=base, side=side, thumb=thumb, kind=kind, name=name
+    )
+    return [one]
 
 
 def _detect_two(
@@ -147,6 +155,7 @@ def detect(
     base: str | None = None,
     side: Side | None = None,
     thumb: str | None = None,
+    kind: FingerKind | None = None,
     name: str | None = None,
     paired: PairedSide | None = None,
 ) -> Detection:
@@ -160,13 +169,14 @@ def detect(
         base: Fixed link of an arm whose joints then move the wrist; the hand floats if omitted.
         side: The hand's side; detected if omitted.
         thumb: A link or joint of the thumb; detected if omitted.
+        kind: What fingers with one flexing joint each are; detected if omitted.
         name: The hand's name; that of the robot if omitted.
         paired: The side by the other hand of the robot, if there is one.
 
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
-    return _detect(urdf, text, root, base, side, thumb, name, paired=paired)
+    return _detect(urdf, text, root, base, side, thumb, name, paired=paired, kind=kind)
 
 
 def _detect(
@@ -180,6 +190,7 @@ def _detect(
     *,
     paired: PairedSide | None = None,
     may_be_rigid: bool = False,
+    kind: FingerKind | None = None,
 ) -> Detection:
     """Find a hand as `detect` does, or one of two hands.
 
@@ -193,6 +204,7 @@ def _detect(
         name: As in `detect`.
         paired: The side by the other hand.
         may_be_rigid: Whether the hand may hang from the base without a joint.
+        kind: As in `detect`.
     """
     robot = Robot(urdf, text, root=root)
     structure = find_structure(robot)
@@ -205,7 +217,7 @@ def _detect(
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes.append(f"{what}; keep them with --base {above}")
-    hand = find_anatomy(robot, structure, side, thumb, paired)
+    hand = find_anatomy(robot, structure, side, thumb, paired, kind)
     part = robot if base is None else Robot(urdf, text, root=base)
     spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
     notes += [*hand.notes, *robot.remarks]
@@ -219,7 +231,14 @@ def _detect(
         finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
     clues = tuple(hand.clues)
-    return Detection(spec, clues, tuple(notes), chains, hand.runner_up)
+    return Detection(
+        spec,
+        clues,
+        tuple(notes),
+        chains,
+        hand.runner_up,
+        kind=hand.hypothesis.kind,
+    )
 
 
 def _describe(

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_args
 
 import numpy as np
 from tyro.conf import Positional
@@ -56,6 +56,7 @@ from .palm_turns import (
     with_palm_link,
     with_turn,
 )
+from .single_joints import FingerKind
 from .write import check_free, open_source, write_hand
 
 # Length and radius of the palm's axes, and of the arrows and rings, in radii of the hand.
@@ -81,7 +82,8 @@ class HandsEdit:
     Turn the palm's axes, name the fingers or leave some out, drag tips, move the joints to where
     the hand rests. What you give is held, and the rest is found again: the side follows the turned
     axes, the axes follow another thumb. Where another thumb, side or palm has nearly as much
-    evidence, or it is uncertain to which side a fist closes, choose one of two pictures. Save
+    evidence, or it is uncertain to which side a fist closes, choose one of two pictures. Of fingers
+    with one joint each, say whether they are jaws. Save
     writes the hand.yaml, with comments. The hand of a URDF or MJCF file is described first, as by
     `handmap hands init`; of several hands the first one, and the pictures or a list of roots lead
     to the others.
@@ -189,6 +191,10 @@ class HandEditor:
             self.palm = gui.add_dropdown("palm", [self.found.spec.palm.link])
             self.root = gui.add_dropdown("root", self._roots)
             add_controls(gui, "placing", self._press)
+        self._kinds = gui.add_folder("fingers or jaws", visible=False)
+        with self._kinds:
+            self.kind = gui.add_dropdown("fingers with one joint", get_args(FingerKind))
+            add_controls(gui, "kinds", self._press)
         self.joints: list[Any] = []
         self._sliders = gui.add_folder("joints")
 
@@ -233,6 +239,7 @@ class HandEditor:
     def _add_sliders(self) -> None:
         """Add a slider for each joint, in the place of those of another hand."""
         hand = self.hand
+        self._rest = hand.rest
         for slider in self.joints:
             slider.remove()
         ranges = np.vstack([hand.limits, hand.rest]).T.tolist()
@@ -333,6 +340,9 @@ class HandEditor:
             case "root":
                 self._look_from(self.root.value)
                 return
+            case "kind":
+                self._look_from(self.found.spec.root, self.kind.value)
+                return
             case "left" | "right":
                 self._choose(request)
                 return
@@ -404,12 +414,20 @@ class HandEditor:
         side = hand.side if self._held.side else None
         return with_thumb(self.found._replace(spec=spec), link, side)
 
-    def _look_from(self, root: str) -> None:
-        """Look for the hand from a link on, in the background."""
-        say(self.message, f"looking for the hand from {root} on …")
+    def _look_from(self, root: str | None, kind: FingerKind | None = None) -> None:
+        """Look for the hand from a link on, in the background; a thumb that is given stays.
+
+        Args:
+            root: The link; that of the URDF if None.
+            kind: What fingers with one joint each are; found if omitted.
+        """
+        say(self.message, f"looking for the hand from {root or self._roots[0]} on …")
         found = self.found
         side = self.hand.side if self._held.side else None
-        self._search.start(lambda: at_root(found, root, side))
+        thumb = None
+        if self._held.names and root == found.spec.root:
+            thumb = _thumb_joint(self.hand)
+        self._search.start(lambda: at_root(found, root, side, thumb, kind))
 
     def _ask(self, link: str, gui: Any) -> None:
         """Ask for the name of the finger that a link is of, if it is of one."""
@@ -459,7 +477,14 @@ class HandEditor:
             if link in self._labels:
                 self._labels[link].text = name
         self._named = named
+        # Joints that were moved stay, unless the hand rests elsewhere now.
+        if not np.array_equal(self._rest, self.hand.rest):
+            self._rest = self.hand.rest
+            for slider, at in zip(self.joints, self._rest.tolist(), strict=True):
+                slider.value = at
         self.palm.value = self.found.spec.palm.link
+        self._kinds.visible = self.found.kind is not None
+        self.kind.value = self.found.kind or self.kind.value
         self._scene.set_variants([self._shown(self.hand.rest)])
         self._drawn = None
 
@@ -494,6 +519,12 @@ class HandEditor:
 def _page_of(hand: Hand) -> _Page:
     tips = {tip.link for tip in all_tips(hand).values()}
     return _Page(hand.joint_names, tips, hand.spec.root, links_of_hand(hand))
+
+
+def _thumb_joint(hand: Hand) -> str | None:
+    """Return the joint that moves the thumb's tip, if there is a thumb."""
+    tip = all_tips(hand).get(THUMB)
+    return None if tip is None else hand.model.names[hand.frames[tip.link].parentJoint]
 
 
 def _given(name: str) -> str | None:

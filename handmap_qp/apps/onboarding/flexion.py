@@ -3,9 +3,9 @@
 Each finger by itself is analysed by `handmap_qp.hands.fingers`. Here, fingers that curl equally far
 both ways follow the others, and base joints flex if they move the tip in the same direction.
 
-A finger with a single flexing joint has the same length everywhere, so it shows no curling. It is
-straight at zero if zero is one end of its range and other fingers are parallel to it there and flex
-alike. Otherwise it is a jaw, which flexes towards the other tips.
+A finger with a single flexing joint has the same length everywhere, so it shows no curling. What it
+is, a finger that is straight at zero or a jaw that flexes towards the other tips, is found by
+`single_joints`.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,6 @@ _STRETCHED = 0.985
 _PHALANX = 0.2
 # A thumb is this share of the fingers' reach in front of the palm.
 _LEAST_HEIGHT = 0.05
-# Zero is an end of a range if at most this share of it is beyond.
-_BEYOND = 0.15
-# Fingers with one flexing joint that are alike, and so many that no gripper has them.
-_ALIKE = 2
-_MANY = 3
-# Confidence in their flexion from zero, and in that of a finger beside them.
-_UNFOLDED = 0.95
-_BESIDE = 0.7
 
 
 class HandFlexion:
@@ -48,7 +40,8 @@ class HandFlexion:
         fingers: Fingers of it.
         palmar: Direction out of the palm in the palm link's frame, zero if unknown: the way of
             fingers that curl equally far both ways, shape (3,).
-        has_thumb: Whether a finger is named as a thumb: the others are then no jaws.
+        straight: Confidence in fingers with one flexing joint that zero is straight, 0 of jaws,
+            shape (F,); all are jaws if omitted.
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
@@ -56,6 +49,7 @@ class HandFlexion:
             closed, shape (n,).
         sign: Sense in which each joint flexes or closes a finger, 0 if it does not, shape (n,).
         slides: Which joints are those of jaws, or turn no fingertip, shape (n,).
+        shortens: Which fingers curl, so that they are shorter when they are closed, shape (F,).
         moves: Which joint moves which fingertip, shape (F, n).
         hinges: Axis of each finger's first joint, in the palm link's frame, shape (F, 3).
         roots: Origin of each finger's first joint in the palm link's frame [m], shape (F, 3).
@@ -77,7 +71,7 @@ class HandFlexion:
         fingers: Sequence[Finger],
         palmar: Array = UNKNOWN,
         *,
-        has_thumb: bool = False,
+        straight: Array | None = None,
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -88,23 +82,25 @@ class HandFlexion:
             zero, [(each.joints or fingers[0].joints)[0] for each in fingers]
         )
         self.bases = self.roots.copy()
-        straight = np.zeros((len(fingers), len(zero)))
+        positions = np.zeros((len(fingers), len(zero)))
         # Sense in which each joint turns a tip about the axis of the finger's curling.
-        self._curls = np.zeros_like(straight)
+        self._curls = np.zeros_like(positions)
         self.axes = np.zeros_like(self.bases)
         senses = np.zeros(len(fingers))
-        unfolded = self._unfolded(has_thumb)
-        for i, group in enumerate(finger.flexion for finger in fingers):
+        unfolded = np.zeros(len(fingers)) if straight is None else straight
+        groups = [finger.flexion for finger in fingers]
+        self.shortens = np.array([bool(group and group.curls) for group in groups])
+        for i, group in enumerate(groups):
             if group and (group.curls or unfolded[i]):
                 self._curls[i] = group.signs
                 self.axes[i] = group.axis
                 self.bases[i] = group.knuckle
-                straight[i] = group.straight
+                positions[i] = group.straight
                 senses[i] = group.sense * (unfolded[i] or group.certainty)
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
-        curling = np.ma.array(straight, mask=self._curls == 0.0)
+        curling = np.ma.array(positions, mask=self._curls == 0.0)
         self.q_open = curling.mean(axis=0).filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
         self.moves = np.any(motions, axis=1)
@@ -130,51 +126,6 @@ class HandFlexion:
     def tips(self, q: Array) -> Array:
         """Return the fingertips in postures of shape (..., n) [m], shape (..., F, 3)."""
         return self._view.points(q, self._tips)
-
-    def _unfolded(self, has_thumb: bool) -> Array:
-        """Return the confidence in fingers with one flexing joint that zero is straight, (F,).
-
-        It is 0 for jaws: fingers that no other one is parallel to at zero, or that go apart.
-        """
-        count = len(self._fingers)
-        view = self._view
-        zero = view.hand.zero
-        lower, upper = view.hand.limits
-        beyond = np.minimum(np.abs(lower), np.abs(upper)) / (upper - lower)
-        is_end = (lower * upper >= 0.0) | (beyond < _BEYOND)
-        lines = np.zeros((count, 3))
-        ways = np.zeros((count, 3))
-        tips = view.points(zero, self._tips)
-        for i, group in enumerate(finger.flexion for finger in self._fingers):
-            if group is None or group.curls or not group.sense:
-                continue
-            (joints,) = np.nonzero(group.signs)
-            if len(joints) == 1 and is_end[joints].all():
-                lines[i] = tips[i] - group.knuckle
-                ways[i] = group.sense * np.cross(group.axis, lines[i])
-        lines = unit(lines)
-        ways = unit(ways)
-        is_alike = (lines @ lines.T > PARALLEL) & (ways @ ways.T > PARALLEL)
-        most = is_alike.sum(axis=1).argmax()
-        group = is_alike[most]
-        size = int(group.sum())
-        if has_thumb and count <= _ALIKE:
-            return np.where(ways.any(axis=1), _BESIDE, 0.0)
-        if (
-            size < _ALIKE
-            or count <= _ALIKE
-            or (size < _MANY and self._parts(group, ways))
-        ):
-            return np.zeros(count)
-        beside = _BESIDE * ways.any(axis=1)
-        return np.where(group, _UNFOLDED, beside)
-
-    def _parts(self, group: Array, ways: Array) -> bool:
-        """Return whether some fingers and the others go apart from zero, as jaws that open."""
-        way = unit(ways[group].sum(axis=0))
-        apart = self.roots[group].mean(axis=0) - self.roots[~group].mean(axis=0)
-        opposed = ways[~group] @ way < -0.5
-        return bool(opposed.any() and apart @ way > 0.0)
 
     def _ways(self) -> Array:
         """Return the directions in which the curling joints move the tips, shape (F, 3)."""

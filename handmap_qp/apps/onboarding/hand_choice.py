@@ -22,6 +22,7 @@ from handmap_qp.hands import (
 from .detect import Detection, detect
 from .edit import described
 from .robot import Robot, carriers
+from .single_joints import FingerKind
 from .structure import find_palms
 from .two_hands import PairedSide, paired_sides
 from .write import RobotSource, open_source
@@ -110,6 +111,7 @@ def at_root(
     root: str | None,
     side: Side | None = None,
     thumb: str | None = None,
+    kind: FingerKind | None = None,
 ) -> Detection:
     """Find the hand of a description again from another root on; all else is derived again.
 
@@ -118,6 +120,7 @@ def at_root(
         root: The link at which the hand begins; that of the URDF if None.
         side: The side, if it is given.
         thumb: A link or joint of the thumb, if it is given.
+        kind: What fingers with one flexing joint each are, if it is given.
 
     Raises:
         HandError: If there is no hand.
@@ -126,7 +129,13 @@ def at_root(
     urdf = urdf_path(spec)
     paired = _paired_side(urdf, root)
     again = detect(
-        urdf, root=root, side=side, thumb=thumb, name=spec.name, paired=paired
+        urdf,
+        root=root,
+        side=side,
+        thumb=thumb,
+        kind=kind,
+        name=spec.name,
+        paired=paired,
     )
     return described(again, _source(spec, urdf))
 
@@ -164,7 +173,9 @@ def with_thumb(found: Detection, link: str, side: Side | None = None) -> HandSpe
     hand = load_hand(spec)
     joint = hand.model.names[hand.frames[link].parentJoint]
     with suppress(HandError):
-        again = detect(urdf_path(spec), root=spec.root, side=side, thumb=joint).spec
+        again = detect(
+            urdf_path(spec), root=spec.root, side=side, thumb=joint, kind=found.kind
+        ).spec
         is_same = again.palm.link == spec.palm.link and not spec.mirror
         # The thumb's joints come first in a new description.
         if is_same and {*again.joints} == {*spec.joints}:

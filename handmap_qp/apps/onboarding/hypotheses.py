@@ -1,10 +1,10 @@
 """What a hand may be, and which evidence speaks for it: one table, one score.
 
-A *hypothesis* says which finger is the thumb, and whether the palm is turned over against what the
-joints' ranges say. That settles the side, the direction of flexion and the order of the fingers'
-names. Each kind of evidence says from -1 (contradicts it) to 1 (agrees) what it thinks of it. The
-hypothesis with the largest weighted sum is taken, and it is as certain as it is ahead of the next
-one.
+A *hypothesis* says which finger is the thumb, whether the palm is turned over against what the
+joints' ranges say, and whether fingers with one joint each are fingers or jaws. That settles the
+side, the direction of flexion, the straight posture and the order of the fingers' names. Each kind
+of evidence says from -1 (contradicts it) to 1 (agrees) what it thinks of it. The hypothesis with
+the largest weighted sum is taken, and it is as certain as it is ahead of the next one.
 """
 
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from handmap_qp.hands import Side
+from .single_joints import FingerKind
 
 # Confidence with two kinds of evidence that agree, with one, and with two that disagree.
 CERTAIN = 0.95
@@ -52,12 +53,22 @@ TERMS = (
          "the fingers' names begin at the other side"),
     Term("thumb ahead", 0.5, "the thumb closes before the palm",
          "the thumb closes behind the back"),
+    Term("parallel", 5.0, "this kind of fingers are parallel at zero as these are",
+         "another kind of fingers are parallel at zero as these are"),
+    Term("range", 3.0, "this kind of fingers has zero at that place of its range",
+         "another kind of fingers has zero at that place of its range"),
+    Term("apart", 6.0, "this kind of fingers goes apart from zero",
+         "another kind of fingers goes apart from zero"),
+    Term("thumb and finger", 6.0, "the names say a thumb and a finger",
+         "the names say a thumb and a finger"),
 )  # fmt: skip
 """All kinds of evidence.
 
 The ranges of joints that flex to one side only outweigh a name of the wrong side, as of a copied
 file; a name outweighs ranges that show little. Where names say which finger is the thumb, no
-difference outweighs them.
+difference outweighs them. The last four tell fingers with one joint each from jaws: a row of
+parallel fingers, or a thumb by name, outweighs ranges; a pair that opens away from the others does
+not make a row.
 """
 SMALL_MARGIN = 0.4
 """The next hypothesis is named if it is less than this behind."""
@@ -82,6 +93,7 @@ class Hypothesis(NamedTuple):
         side: The hand's side.
         is_turned: Whether the palm is turned over against the flexion that was found.
         values: What each kind of evidence says, from -1 to 1, by its name; 0 is left out.
+        kind: What its fingers with one flexing joint are; None if there are none.
     """
 
     thumb: int | None
@@ -89,11 +101,12 @@ class Hypothesis(NamedTuple):
     side: Side
     is_turned: bool
     values: Mapping[str, float]
+    kind: FingerKind | None = None
 
     @property
-    def answer(self) -> tuple[int | None, Side, bool]:
-        """What it says: the thumb, the side, and whether the palm is turned over."""
-        return self.thumb, self.side, self.is_turned
+    def answer(self) -> tuple[int | None, Side, bool, FingerKind | None]:
+        """What it says: the thumb, the side, whether the palm is turned over, and the kind."""
+        return self.thumb, self.side, self.is_turned, self.kind
 
     @property
     def score(self) -> float:
@@ -105,14 +118,18 @@ class Hypothesis(NamedTuple):
         return bool(self.differences(other)) and self.score > other.score + _OVERRULED
 
     def differences(self, other: "Hypothesis") -> list[str]:
-        """Return in which answers two hypotheses differ."""
-        whats = ("thumb", "side", "dorsal")
+        """Return in which answers two hypotheses differ: for another kind, in where distal is."""
+        whats = ("thumb", "side", "dorsal", "distal")
         answers = zip(whats, self.answer, other.answer, strict=True)
         return [what for what, mine, theirs in answers if mine != theirs]
 
+    def is_near(self, other: "Hypothesis") -> bool:
+        """Return whether another one has nearly as much evidence."""
+        return self.score - other.score < SMALL_MARGIN
+
     def doubt(self, following: "Hypothesis") -> str:
         """Return a note about the next hypothesis, and how to choose it, if it is near."""
-        if self.score - following.score >= SMALL_MARGIN:
+        if not self.is_near(following):
             return ""
         options, words = [], []
         if self.thumb != following.thumb:
@@ -121,6 +138,9 @@ class Hypothesis(NamedTuple):
         if self.side != following.side:
             words.append(f"it may be a {following.side} hand")
             options.append(f"--side {following.side}")
+        if self.kind != following.kind:
+            words.append(f"its fingers may be {following.kind}")
+            options.append(f"--kind {following.kind}")
         return (
             f"{' and '.join(words)}: choose that with {' '.join(options)} (evidence "
             f"{following.score:.2f}, of what was taken {self.score:.2f})"

@@ -11,6 +11,7 @@ from handmap_core.errors import HandError, expect
 from handmap_qp.hands import Hand, Names, Side, load_hand, load_robot
 from .detect import Detection, detect_hands
 from .edit import described
+from .single_joints import FingerKind
 from .speeds import with_speed
 from .structure import Clue
 from .write import RobotSource, check_free, open_source, write_hand, write_robot
@@ -67,6 +68,7 @@ def init_hands(
     base: str | None = None,
     side: Side | None = None,
     thumb: str | None = None,
+    kind: FingerKind | None = None,
     speed: float | None = None,
     name: str | None = None,
     overwrite: bool = False,
@@ -87,6 +89,8 @@ def init_hands(
             wrist of one hand floats if it is omitted; for two hands it is the robot's root.
         side: Side of the hand; found if omitted.
         thumb: Name of a link or joint of the thumb; found if omitted.
+        kind: What fingers with one joint each are: `fingers` are straight at zero, `jaws` are open
+            at one end of their ranges; found if omitted.
         speed: Speed limit of all joints of the hand [rad/s or m/s], where those of the URDF are
             placeholders; that of the URDF if omitted.
         name: Name of the hand or robot; that of the URDF if omitted.
@@ -109,7 +113,13 @@ def init_hands(
     with _named(Path(robot), chosen.parent):
         source = open_source(Path(robot), chosen.parent, overwrite=overwrite)
         found = detect_hands(
-            source.urdf, root=root, base=base, side=side, thumb=thumb, name=name
+            source.urdf,
+            root=root,
+            base=base,
+            side=side,
+            thumb=thumb,
+            kind=kind,
+            name=name,
         )
         is_robot = len(found) > 1
         if is_robot:

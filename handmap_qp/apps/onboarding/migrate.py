@@ -70,27 +70,36 @@ def read_dex_configuration(path: Path) -> tuple[str, dict[str, str], Names]:
     urdf = setting("urdf_path", str, "a path")
     kind = str(table.get("type")).lower()
     field = _LINKS[setting("type", _Kind, "vector, position or DexPilot", kind)]
-    links = setting(
-        field, Annotated[list[str], Meta(min_length=1)], "a list of link names"
-    )
-    count = len(links)
+
+    def numbered(key: str, numbers: Any) -> dict[str, str]:
+        """Return the links of a list by the names of their landmarks, but the wrist's."""
+        links = setting(
+            key, Annotated[list[str], Meta(min_length=1)], "a list of link names"
+        )
+        count = len(links)
+        if kind == "dexpilot":
+            numbers = TIPS[:count].tolist()
+        numbers = setting(
+            "target_link_human_indices",
+            Annotated[list[_Index], Meta(min_length=count, max_length=count)],
+            f"{count} indices of landmarks from 0 to 20 for {key}, of DexPilot at most five",
+            numbers,
+        )
+        # The wrist's own landmark is not a reference point.
+        return {
+            LANDMARK_NAMES[i]: link for i, link in zip(numbers, links, strict=True) if i
+        }
+
     indices: Any = table.get("target_link_human_indices")
+    named: dict[str, str] = {}
     match kind, indices:
-        # It has two rows of indices: where vectors begin, and where they end.
-        case "vector", [_, ends]:
-            indices = ends
-        case "dexpilot", _:
-            indices = TIPS[:count].tolist()
-    indices = setting(
-        "target_link_human_indices",
-        Annotated[list[_Index], Meta(min_length=count, max_length=count)],
-        f"{count} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five",
-        indices,
-    )
-    # The wrist's own landmark is not a reference point.
-    named = {
-        LANDMARK_NAMES[i]: link for i, link in zip(indices, links, strict=True) if i
-    }
+        # Two rows of indices: where vectors begin, and where they end. Most begin at the wrist, a
+        # gripper's at its other jaw.
+        case "vector", [[*starts], indices] if any(starts):
+            named = numbered("target_origin_link_names", starts)
+        case "vector", [_, indices]:
+            pass
+    named |= numbered(field, indices)
     unused = [name for name in _ELSEWHERE if name in table]
     notes = (f"{name} is not used: {_ELSEWHERE[name]}" for name in unused)
     return urdf, named, tuple(notes)

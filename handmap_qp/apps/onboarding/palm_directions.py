@@ -3,6 +3,7 @@
 import numpy as np
 
 from handmap_core.se3 import Array, lengths, unit
+from handmap_qp.hands import PARALLEL
 from .hypotheses import CERTAIN, DISPUTED, LIKELY
 from .layout import Layout
 from .structure import Clue
@@ -27,11 +28,7 @@ def find_distal(layout: Layout) -> Clue:
     """Find the direction of the stretched fingers, in the palm link's coordinates."""
     flexion = layout.flexion
     axis = layout.axis
-    # Two jaws lean to opposite sides: take the middle of both, or the fixed one.
-    chosen = layout.others
-    if len(flexion.bases) == 2 and flexion.moves[chosen].any():
-        chosen = slice(None)
-    mean = flexion.directions[chosen].mean(axis=0)
+    chosen, mean = _mean_direction(layout)
     knuckles = flexion.bases[chosen]
     agreement = lengths(mean)
     if agreement < 0.2:
@@ -67,6 +64,39 @@ def find_distal(layout: Layout) -> Clue:
         how += "; the thumb points the other way: the palm's direction may be better"
         confidence = DISPUTED
     return Clue("distal", mean, how, confidence)
+
+
+def _mean_direction(layout: Layout) -> tuple[list[int], Array]:
+    """Return the fingers that tell the direction of a hand, and the mean of theirs, shape (3,).
+
+    Jaws lean to opposite sides: of two, it is the middle of both, or the fixed one.
+    """
+    flexion = layout.flexion
+    if _is_pair_against_one(layout):
+        return layout.others, _middle(flexion.directions)
+    chosen = layout.others
+    if len(flexion.bases) == 2 and flexion.moves[chosen].any():
+        chosen = [0, 1]
+    return chosen, flexion.directions[chosen].mean(axis=0)
+
+
+def _is_pair_against_one(layout: Layout) -> bool:
+    """Return whether two fingers with one joint each close against a third one, as jaws do.
+
+    Such a finger may lean at zero, and the other side then leans the other way. More fingers are a
+    row, which has a direction of its own.
+    """
+    flexion = layout.flexion
+    if len(layout.others) != 2 or flexion.shortens.any():
+        return False
+    way = unit(flexion.ways[layout.others].sum(axis=0))
+    return bool(flexion.ways[layout.thumb] @ way < _OPPOSED)
+
+
+def _middle(directions: Array) -> Array:
+    """Return the mean of directions (k, 3) in which those that are alike count once."""
+    alike = directions @ directions.T > PARALLEL
+    return np.average(directions, axis=0, weights=1.0 / alike.sum(axis=1))
 
 
 def _along_fixed_jaw(layout: Layout) -> Array:

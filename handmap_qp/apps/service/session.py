@@ -22,6 +22,7 @@ from msgspec import structs
 from handmap_core.client.messages import (
     About,
     AnyReply,
+    AssumedSpeed,
     Command,
     Configure,
     Detail,
@@ -44,6 +45,7 @@ from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
 from handmap_qp.mapping import (
+    AssumedSpeeds,
     HandMapper,
     MapStep,
     Placement,
@@ -309,6 +311,7 @@ class Session:
         # When a driver measured joints last.
         self._measured_at = -math.inf
         self._hands = hands
+        self._assumed = AssumedSpeeds(self.robot)
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
         self._clock = SessionClock(request, now, waited)
@@ -372,6 +375,14 @@ class Session:
             return None
         return Fist(found.time, found.joint, found.is_slow, found.is_assumed)
 
+    @property
+    def _assumed_speed(self) -> AssumedSpeed | None:
+        """How often assumed speed limits held the robot, as clients read it."""
+        counted = self._assumed
+        if not counted.has_any:
+            return None
+        return AssumedSpeed(counted.share, counted.joint, counted.is_often)
+
     def opened(self, seq: int, stream_port: int) -> Opened:
         """Answer `open`."""
         robot = self.robot
@@ -421,6 +432,7 @@ class Session:
             stream_port=stream_port,
             about=About(**about),
             fist=self._fist,
+            assumed_speed=self._assumed_speed,
         )
 
     def step(self, sample: Step, now: float) -> Command:
@@ -465,6 +477,7 @@ class Session:
             flags = self._accept(now) + flags
             if self._state is SessionState.FOLLOWING:
                 flags += self._follow(step)
+                self._assumed.add(step)
                 self._measure_gap(sample.time, humans)
             else:
                 self._commanded.brake(self._when)

@@ -36,7 +36,8 @@ class LiveViewer(Window):
     Attributes:
         recent: The samples of the last 10 s.
         status_text: The sample rate, or that no sample arrives.
-        slow_text: Whether the robot's joints are slower than a person; hidden if not.
+        slow_text: Whether the robot's joints are slower than a person, or are held by assumed
+            speeds; hidden if not.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
             be steered.
@@ -127,6 +128,9 @@ class LiveViewer(Window):
         elif time.monotonic() - self._last_arrival > _SILENCE:
             text = "**No sample arrives.**"
         self.status_text.content = text
+        # How often assumed speeds hold the robot changes.
+        if self.slow_text.content != source.slow_note:
+            say(self.slow_text, source.slow_note)
 
     def close(self) -> None:
         """Stop reading the source."""

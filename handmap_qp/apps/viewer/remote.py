@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from handmap_core.client import Command, KeyFiles
-from handmap_core.client.messages import Pose
+from handmap_core.client.messages import Pose, State
 from handmap_core.errors import HandmapError, InvalidInputError
 from handmap_core.se3 import rigid_fit
 from handmap_qp.apps.connection import FAILURES, connected, only_session
@@ -28,7 +28,13 @@ from handmap_qp.hands import (
     robot_files,
 )
 from handmap_qp.human import LandmarkFitter
-from handmap_qp.mapping import IK_NAMES, Choice, preset_choice, slow_note
+from handmap_qp.mapping import (
+    IK_NAMES,
+    Choice,
+    assumed_note,
+    preset_choice,
+    slow_note,
+)
 from .sample import HumanView, ViewSample
 
 # Longest wait for an answer once the session is shown [s].
@@ -79,8 +85,8 @@ class ServiceSession:
         stop_number: Number of the emergency stop in force; 0 for none.
         is_outdated: Whether the session has changed to other hands.
         last_error: Why the last request failed; None if it succeeded.
-        slow_note: A line if the robot's joints are slower than a person, as the service says;
-            empty if not, or if the service does not know.
+        slow_note: Lines if the robot's joints are slower than a person, or if assumed speed limits
+            hold them, at the last status request; empty if not, or if the service does not know.
 
     Raises:
         InvalidInputError: If the service cannot be reached, or the session cannot be shown.
@@ -208,6 +214,7 @@ class ServiceSession:
             return
         self.is_released = state.is_released
         self.stop_number = state.stop
+        self.slow_note = _slow_lines(state)
 
     def _find_session(self, session: str | None, end: float) -> Values:
         """Wait until a session is open and its human hand is measured; return its properties."""
@@ -218,8 +225,7 @@ class ServiceSession:
             if self.name:
                 state = self._client.watch(self.name)
                 self.is_released = state.is_released
-                # Servers before this field do not send it.
-                self.slow_note = slow_note(state.fist) if state.fist else ""
+                self.slow_note = _slow_lines(state)
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
                     return about
@@ -329,6 +335,15 @@ class ServiceSession:
             value=self._host,
             advice=advice,
         )
+
+
+def _slow_lines(state: State) -> str:
+    """Return what people must know of the robot's speeds; servers before a field do not send it."""
+    lines = [
+        slow_note(state.fist) if state.fist else "",
+        assumed_note(state.assumed_speed) if state.assumed_speed else "",
+    ]
+    return "\n\n".join(filter(None, lines))
 
 
 def _choice(about: Values) -> Choice:

@@ -258,12 +258,20 @@ function makeRobot(name) {
 
 function refreshRobot(item) {
   const { name } = item.dataset;
-  const { about, mode, stop } = robots.states.get(name);
+  const { about, mode, stop, assumed_speed: assumed } = robots.states.get(name);
   const [state, words] = MODES[mode] ?? ["off", mode];
   item.dataset.state = state;
   find(".model", item).textContent = about.robot;
   find(".mode", item).textContent = isOwn(name) ? `${words} (controlled by this page)` : words;
+  find(".assumed", item).hidden = !assumed?.is_often;
+  find(".assumed", item).textContent = assumed?.is_often ? describeAssumed(assumed) : "";
   find(".clear", item).hidden = !stop || !mayClear(name);
+}
+
+/** What people must know of assumed speeds; the same words as `assumed_note` of the package. */
+function describeAssumed({ share, joint }) {
+  const held = `${(100 * share).toFixed(0)} % of the samples, most often ${joint}`;
+  return `Assumed speed limits held a joint in ${held}: give the true ones by handmap hands init --speed.`;
 }
 
 /** What people who lead a slow hand must know; the same words as `slow_note` of the package. */
