@@ -38,6 +38,7 @@ from handmap_core.client.messages import (
     State,
     Step,
 )
+from handmap_core.core import core
 from handmap_core.errors import HandmapError, RefusedError
 from handmap_core.se3 import Array
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
@@ -189,7 +190,9 @@ class SampleForm:
         }
         if sample.values is not None:
             return self._layout.read(np.array(sample.values), **common)
-        landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+        landmarks = UNSEEN
+        if sample.landmarks is not None:
+            landmarks = core.array_of_rows(sample.landmarks)
         # Messages were checked, except for their number of landmarks.
         is_hand = landmarks.shape == UNSEEN.shape
         make = HumanSample.of_checked if is_hand else HumanSample
@@ -694,7 +697,9 @@ class Session:
                 # `SampleForm.read` refuses joint angles without a wrist.
                 assert wrist is not None
                 return mapper.map_step(np.array(sample.q), wrist, **held)
-            return mapper.map_points(np.array(sample.points), wrist, **held)
+            # `SampleForm.read` refuses samples without points.
+            assert sample.points is not None
+            return mapper.map_points(core.array_of_rows(sample.points), wrist, **held)
         held["arrival"] = now if self.request.time_from == "server" else None
         if isinstance(follower, RobotFollower | RobotGripFollower):
             return follower.map_samples(humans, **held)
