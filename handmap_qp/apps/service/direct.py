@@ -14,6 +14,7 @@ from logging import INFO
 
 from .listening import Client, Listener
 from .logs import Metrics, Throttle
+from .sessions import Caller
 from .zmtp import HELLO, PING, Peer, PeerError, message
 
 _BATCH = 64
@@ -42,7 +43,12 @@ class DirectClient(Client):
 
     Args:
         port: The port that it is on.
+
+    Attributes:
+        caller: The client, as sessions know it.
     """
+
+    caller: Caller
 
     def __init__(self, port: "DirectPort") -> None:
         super().__init__(port)
@@ -52,6 +58,7 @@ class DirectClient(Client):
 
     def begin(self) -> None:
         """Greet the client."""
+        self.caller = Caller(self.address)
         self._write(HELLO)
 
     def receive(self, data: bytes) -> None:

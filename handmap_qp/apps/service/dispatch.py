@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, WARNING
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeGuard
 
 import msgspec
 from msgspec import structs
@@ -119,7 +119,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         return _wrong_protocol(request.seq, request.protocol, messages.PROTOCOLS)
     if request.protocol < _STOP_PROTOCOL and isinstance(request, Stop | Clear):
         return _wrong_protocol(request.seq, request.protocol, (_STOP_PROTOCOL,))
-    if isinstance(request, Step | Open | Reset):
+    if _has_pose(request):
         for place, message in _wrong_poses(request):
             return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
@@ -188,6 +188,14 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
             "this request requires its secret"
         )
     return message, path
+
+
+def _has_pose(request: AnyRequest) -> TypeGuard[Step | Open | Reset]:
+    """Return whether a request has a pose; most samples have none."""
+    if isinstance(request, Step):
+        own = request.wrist or request.base or request.object_pose
+        return own is not None or request.hands is not None
+    return isinstance(request, Open | Reset)
 
 
 def _wrong_poses(request: Step | Open | Reset) -> Iterator[tuple[str, str]]:

@@ -283,7 +283,10 @@ class SessionClock:
         return is_led and self._request.return_after is not None
 
     def _limited(self, dt: float) -> float:
-        return min(max(dt, SHORTEST_DT), self._request.max_dt)
+        longest = self._request.max_dt
+        if dt > longest:
+            return longest
+        return dt if dt > SHORTEST_DT else SHORTEST_DT
 
 
 class CommandedRobot(Gate):

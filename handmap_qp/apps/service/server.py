@@ -289,8 +289,7 @@ class Server:
     ) -> None:
         """Handle one message of a client without a key."""
         try:
-            by = Caller(client.address)
-            self.backend.receive(payload, client.identity, answer, by=by)
+            self.backend.receive(payload, client.identity, answer, by=client.caller)
         except Exception as error:
             self._bugs.report(ERROR, "failed", failure=error)
 
