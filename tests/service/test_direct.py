@@ -205,6 +205,47 @@ def test_a_client_that_reads_nothing_loses_answers_and_disturbs_no_other() -> No
         assert max(unsent) < 2 * direct._MOST_UNREAD
 
 
+def ping_unread(flood: socket.socket, kept: Callable[[], int]) -> None:
+    """Send pings whose answers nobody reads, until the server buffers no more of them."""
+    pings = frame(b"\x04PING\x00\x00" + b"0123456789abcdef", _COMMAND) * 2000
+    unsent = bytearray()
+    before = -1
+    while kept() > before or kept() == 0:
+        before = kept()
+        # As much as it may buffer.
+        for _ in range(2 * direct._MOST_UNREAD // len(pings) + 1):
+            unsent.extend(pings)
+            while unsent:
+                del unsent[: flood.send(bytes(unsent))]
+
+
+@pytest.mark.slow
+def test_pings_of_a_client_that_reads_nothing_take_little_memory() -> None:
+    with serving(rate=1e9) as server, raw_client(server) as flood:
+        wait_until(lambda: any(server.requests.clients))
+        (client,) = server.requests.clients
+        ping_unread(flood, lambda: client.writer.get_write_buffer_size())
+        assert client.writer.get_write_buffer_size() < 2 * direct._MOST_UNREAD
+
+
+@pytest.mark.slow
+def test_a_handshake_that_is_sent_byte_by_byte_takes_no_longer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(direct, "_HANDSHAKE", 0.5)
+    with (
+        serving() as server,
+        socket.create_connection(("127.0.0.1", server.ports["requests"])) as slow,
+    ):
+
+        def is_refused() -> int:
+            with suppress(ConnectionError):
+                slow.send(b"\xff")
+            return server.metrics.refusals["handshake"]
+
+        wait_until(is_refused, "it goes on")
+
+
 @pytest.mark.slow
 def test_a_turn_handles_a_bounded_number_of_messages_and_a_stop_passes(
     monkeypatch: pytest.MonkeyPatch,

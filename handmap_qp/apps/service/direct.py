@@ -90,10 +90,12 @@ class DirectClient(Client):
 
     def check(self, now: float) -> None:
         """Ask a silent client whether it is still there; end one that is not."""
-        silent = now - self._active
-        if silent > (_LONGEST_SILENCE if self._peer.is_ready else _HANDSHAKE):
+        is_ready = self._peer.is_ready
+        # Before its first message, that is when it connected.
+        silent = now - (self._active if is_ready else self.heard)
+        if silent > (_LONGEST_SILENCE if is_ready else _HANDSHAKE):
             self.end()
-        elif self._peer.is_ready and now - self._asked >= _HEARTBEAT:
+        elif is_ready and now - self._asked >= _HEARTBEAT:
             self._asked = now
             self._write(PING)
 
@@ -106,14 +108,19 @@ class DirectClient(Client):
 
     def _answer(self, has_envelope: bool, payload: bytes) -> None:
         """Send an answer, unless the client does not read."""
-        is_gone = self.writer.is_closing()
-        if is_gone or self.writer.get_write_buffer_size() > _MOST_UNREAD:
+        if self.writer.is_closing() or self._is_behind:
             self._port.note_dropped()
         else:
-            self._write(message(payload, has_envelope=has_envelope))
+            self.writer.write(message(payload, has_envelope=has_envelope))
 
     def _write(self, data: bytes) -> None:
-        self.writer.write(data)
+        """Send what is no answer, unless the client does not read."""
+        if not self._is_behind:
+            self.writer.write(data)
+
+    @property
+    def _is_behind(self) -> bool:
+        return self.writer.get_write_buffer_size() > _MOST_UNREAD
 
 
 class DirectPort(Listener):
