@@ -207,6 +207,12 @@ class Ik(Gate):
 
 # -- samples of a human hand
 
+def array_of_rows(rows: tuple[tuple[float, float, float], ...]) -> Array:
+    """Return rows of three numbers as an array (n, 3)."""
+
+def tip_gaps(landmarks: Array) -> list[float]:
+    """Return the distances of landmarks (21, 3): from the thumb's tip to the other tips."""
+
 class HumanPose:
     """A human hand at one instant; see `mapping.HumanPose`."""
 

@@ -42,6 +42,35 @@ HumanPose pose_of_joints(JointReader& reader, const Array& q, const Array& wrist
   return reader.read(q.data(), read_pose(wrist));
 }
 
+// Rows of three numbers as an array (n, 3); numpy takes four times as long.
+NumpyArray array_of_rows(const nb::tuple& rows) {
+  double* to;
+  NumpyArray made = array_of({rows.size(), 3}, to);
+  for (const nb::handle row : rows) {
+    expect(PyTuple_Check(row.ptr()) && PyTuple_Size(row.ptr()) == 3, "a row of another size");
+    for (Py_ssize_t i = 0; i < 3; ++i) {
+      const double number = PyFloat_AsDouble(PyTuple_GetItem(row.ptr(), i));
+      if (number == -1.0 && PyErr_Occurred()) nb::raise_python_error();
+      *to++ = number;
+    }
+  }
+  return made;
+}
+
+// The distances from the thumb's tip to the other tips; see contact_gap.tip_gaps.
+nb::list tip_gaps(const nb::handle& landmarks) {
+  const Borrowed points(landmarks, {kLandmarks, 3});
+  expect(points.data, "wrong size of landmarks");
+  constexpr int kTip = 4;  // the thumb's; the others follow each by as many
+  const auto tip = [&](int i) {
+    const double* at = points.data + 3 * i;
+    return Vec3{at[0], at[1], at[2]};
+  };
+  nb::list gaps;
+  for (int i = 2 * kTip; i < kLandmarks; i += kTip) gaps.append(norm(tip(i) - tip(kTip)));
+  return gaps;
+}
+
 // The motions of both hands, the offset, and its share of the weight, of palms that meet.
 std::optional<std::tuple<nb::object, nb::object, nb::object, double>> meeting(
     const LedPalm& first, const Array& first_wrist, const LedPalm& other, const Array& other_wrist,
@@ -56,6 +85,8 @@ std::optional<std::tuple<nb::object, nb::object, nb::object, double>> meeting(
 }  // namespace
 
 void bind_samples(nb::module_& m) {
+  m.def("array_of_rows", &array_of_rows, "rows"_a);
+  m.def("tip_gaps", &tip_gaps, "landmarks"_a);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__init__",
            [](HumanPose* self, const Array& points, const std::optional<Array>& wrist) {

@@ -82,6 +82,35 @@ inline void check_robot(const TargetMap& map, const Ik& ik) {
   if (const DistanceTask* task = map.distances()) expect_joints(ik.tree, task->points);
 }
 
+// Runs work of the core, without the interpreter's lock where it takes long, so that other threads of
+// Python go on meanwhile.
+//
+// A thread that gives the lock up waits for it afterwards, up to the switch interval of another one
+// (`sys.setswitchinterval`, 5 ms if it was not called). So work that usually takes less keeps the
+// lock. What it works on must be marked as at work (busy.hpp).
+class Unlocked {
+ public:
+  // `longest` is the time of the last work up to which the next one keeps the lock [s].
+  explicit Unlocked(double longest) : longest_(longest) {}
+
+  template <class Call>
+  void run(const Call& call) {
+    const Clock::time_point started = Clock::now();
+    if (took_ >= longest_) {
+      const nb::gil_scoped_release no_gil;
+      call();
+    } else {
+      call();
+    }
+    took_ = std::chrono::duration<double>(Clock::now() - started).count();
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  const double longest_;
+  double took_ = 0.0;  // by the last work [s]
+};
+
 // -- steps
 
 // What makes the objects of Python of a step, when they are asked for; see step.Stages.
@@ -97,6 +126,13 @@ struct StepReader {
   StepViews views;
   std::shared_ptr<const TargetMap> map;  // none for a robot of several hands
   Indices columns;                       // see Hand.joint_columns
+  // Steps whose objects of Python are gone, and whose memory the next ones take over.
+  mutable std::vector<Step> spare{};
+  static constexpr size_t kMostSpare = 4;
+
+  void recycle(Step&& step) const {
+    if (spare.size() < kMostSpare) spare.push_back(std::move(step));
+  }
 };
 
 // The arrays of targets: points and wrist; where there are distances, their aims, weights and
@@ -122,6 +158,12 @@ struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
   nb::object targets_, ik_, command_, summary_;
+
+  Stages() = default;
+  Stages(const Stages&) = delete;
+  ~Stages() {
+    if (reader) reader->recycle(std::move(*this));
+  }
 
   // What a user should know of the sample, a word each; see method.Targets.
   nb::tuple flags() const {
@@ -154,11 +196,16 @@ struct Stages : Step {
   }
 };
 
-// Stages to be filled, and the object of Python that owns them.
+// Stages to be filled, which may have the numbers of an earlier step, and the object of Python that owns
+// them.
 inline std::pair<nb::object, Stages&> new_stages(std::shared_ptr<const StepReader> reader) {
   nb::object made = nb::inst_alloc(nb::type<Stages>());
   Stages& stages = *new (nb::inst_ptr<Stages>(made)) Stages();
   nb::inst_mark_ready(made);
+  if (!reader->spare.empty()) {
+    static_cast<Step&>(stages) = std::move(reader->spare.back());
+    reader->spare.pop_back();
+  }
   stages.reader = std::move(reader);
   return {made, stages};
 }
@@ -308,7 +355,8 @@ class HandMapper : public SampleReader {
     const Work moving(*ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
-    handmap::follow(*ik_, *map_, stages.pose, when, speed, goal_, stages);
+    unlocked_.run(
+        [&, &to = stages] { handmap::follow(*ik_, *map_, to.pose, when, speed, goal_, to); });
     return made;
   }
   double last_time() override {
@@ -320,6 +368,7 @@ class HandMapper : public SampleReader {
   std::shared_ptr<Ik> ik_;
   std::shared_ptr<const StepReader> reader_;
   Goal goal_;
+  Unlocked unlocked_{3e-4};
 };
 
 // A mapper of Python that is copied makes its own: None takes the place of this one.

@@ -89,16 +89,11 @@ class RobotMapper {
                (worlds.empty() || worlds.size() == hands_.size()),
            "wrong number of hands");
     const Work moving(*ik_);
-    double speed = 1.0;
-    for (const HandRequest* request : requests) speed = std::min(speed, request->speed);
-    aim(requests, since, worlds);
-    goal_.postures = ik_->postures(wanted_rest_, ik_->motion.next(when).granted);
-    goal_.regularise(regularisation_);
     auto [made, whole] = new_stages(reader_);
-    seek(*ik_, goal_, when, margins_, speed, whole.result);
-    finish(*ik_, whole);
+    unlocked_.run([&, &to = whole] { seek_requests(requests, since, worlds, when, to); });
     whole.targets.points = whole.result.targets;
     whole.targets.wrist = goal_.wrists[0];
+    whole.targets.is_clamped = false;
     whole.pose = {{}, requests[0]->pose.has_wrist, requests[0]->pose.wrist};
     std::vector<nb::object> parts;
     for (size_t k = 0; k < requests.size(); ++k) {
@@ -110,6 +105,18 @@ class RobotMapper {
   }
 
  private:
+  // Move towards the requests of the hands; it needs nothing of Python.
+  void seek_requests(const Requests& requests, const Vector& since,
+                     const std::vector<Pose>& worlds, const When& when, Step& step) {
+    double speed = 1.0;
+    for (const HandRequest* request : requests) speed = std::min(speed, request->speed);
+    aim(requests, since, worlds);
+    goal_.postures = ik_->postures(wanted_rest_, ik_->motion.next(when).granted);
+    goal_.regularise(regularisation_);
+    seek(*ik_, goal_, when, margins_, speed, step.result);
+    finish(*ik_, step);
+  }
+
   // Set the goal to the requests of the hands.
   void aim(const Requests& requests, const Vector& since, const std::vector<Pose>& worlds) {
     const size_t count = requests.size();
@@ -206,6 +213,7 @@ class RobotMapper {
   std::vector<LedPalm> palms_;  // without a map where a method leads none
   Vector wanted_rest_, regularisation_;
   Goal goal_;
+  Unlocked unlocked_{0.0};
 };
 
 }  // namespace handmap

@@ -7,7 +7,6 @@ medians over 0.1 s first, which single outliers and noise hardly move.
 
 import math
 from collections import deque
-from itertools import repeat
 
 import numpy as np
 
@@ -113,9 +112,7 @@ class ContactGapMeter:
         Returns:
             Whether `gap` has changed.
         """
-        # For so few numbers, numpy takes twice as long as plain floats.
-        thumb, *tips = landmarks[TIPS, :].tolist()
-        gaps = [*map(math.dist, repeat(thumb), tips)]
+        gaps = core.tip_gaps(landmarks)
         is_near = min(gaps) < TOUCH_GAP
         self._near += is_near
         recent = self._recent

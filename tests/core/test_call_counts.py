@@ -138,12 +138,13 @@ def test_reading_a_recording_for_a_data_set(egodex: Path) -> None:
 
 
 def test_a_followed_sample(people: Iterator[Hand], samples: list[HumanSample]) -> None:
+    """Guard, filter and mapping are one call of the core, as a mapping alone is."""
     follower = Follower(HandMapper(next(people), ALLEGRO))
     first, second, *others = samples[:50]
     follower.map_sample(first)
     follower.map_sample(second)
     counts = [count_calls(partial(follower.map_sample, sample)) for sample in others]
-    assert max(counts) <= 9
+    assert max(counts) <= LANDMARKS["teleoperation"] + 1
 
 
 @pytest.mark.parametrize(

@@ -341,6 +341,8 @@ def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
         "RateCheck.update": (core.RateCheck().update, (0.1, 0.1)),
         "Track": (core.Track, (0.1, sample.landmarks)),
         "change_between": (core.change_between, (track, track, dt)),
+        "array_of_rows": (core.array_of_rows, (((0.0, 1.0, 2.0), (3.0, 4.0, 5.0)),)),
+        "tip_gaps": (core.tip_gaps, (columns.landmarks[0],)),
         "log_size": (core.log_size, (columns.landmarks,)),
         "misfit": (core.misfit, (columns.landmarks,)),
         "palmar_evidence": (core.palmar_evidence, (columns.landmarks,)),

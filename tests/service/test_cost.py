@@ -31,9 +31,9 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import HandSample, Step
 from handmap_qp.hands import Side
 
-MOST_CALLS = 116
+MOST_CALLS = 110
 """Calls of Python and C for an answer."""
-MOST_CALLS_FOR_TWO = 345
+MOST_CALLS_FOR_TWO = 334
 """Likewise for a robot with two hands."""
 MOST_CALLS_OF_A_TICK = 14
 """Calls for a look at a session that is led, of which there are 50 in a second."""

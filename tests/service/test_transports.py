@@ -66,6 +66,13 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "service.md").read_text(
 )
 
 
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """Return a folder with keys of a server and of the client `a`."""
+    make_keys(tmp_path, ["a"])
+    return tmp_path
+
+
 def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
     """Return the error of the command line for these words."""
     assert cli.main([str(word) for word in words]) == 2
@@ -469,7 +476,7 @@ def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
 
 
 def test_a_turn_reads_a_bounded_number_of_parts(
-    monkeypatch: pytest.MonkeyPatch,
+    keys: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     turns: list[int] = []
     monkeypatch.setattr(
@@ -482,11 +489,16 @@ def test_a_turn_reads_a_bounded_number_of_parts(
         Server, "_drain", lambda server: (turns.append(0), drain(server))[1]
     )
     with (
-        serving() as server,
+        serving(keys=keys) as server,
         zmq.Context() as context,
         context.socket(zmq.DEALER) as bare,
     ):
+        assert server._gate is not None
         bare.rcvtimeo = int(1e3 * PATIENCE)
+        bare.curve_publickey, bare.curve_secretkey = load_certificate(
+            keys / "a.key_secret"
+        )
+        bare.curve_serverkey = load_certificate(keys / "server.key")[0]
         # This process may pass by the gate.
         bare.connect(f"ipc://@{server._gate.inner}")
         bare.send_multipart([b""] * 5000)
@@ -556,27 +568,28 @@ def test_silent_connections_leave_a_place_for_the_stop() -> None:
         ExitStack() as sockets,
     ):
         client.step(q=human_q(), wrist=np.eye(4))
-        served = set(server._gate._known)
+        (served,) = (each for each in server.requests.clients if each.identity)
         for _ in range(20):
             _, next_event = sockets.enter_context(bare_connection(server))
             while next_event() != zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 pass
         # A client that has sent something keeps its connection before those that have not.
-        assert served <= set(server._gate._known)
+        assert served in server.requests.clients
         with client_of(server) as operator:
             operator.stop("lab")
         assert client.status().mode == "stopped"
         assert client.reopened == 0
 
 
-def test_other_processes_cannot_pass_by_the_gate() -> None:
+def test_other_processes_cannot_pass_by_the_gate(keys: Path) -> None:
     code = (
         "import socket, sys\n"
         "with socket.socket(socket.AF_UNIX) as raw:\n"
         "    raw.connect(chr(0) + sys.argv[1])\n"
         "    print(len(raw.recv(1)))"
     )
-    with serving() as server:
+    with serving(keys=keys) as server:
+        assert server._gate is not None
         command = [sys.executable, "-c", code, server._gate.inner]
         assert subprocess.check_output(command, timeout=PATIENCE) == b"0\n"
 

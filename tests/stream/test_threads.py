@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty_recordings import DEMO
+from meeting_hands import meeting_hands
 
 from handmap_core.human.recording import sample_columns
+from handmap_core.human.sample import human_name
 from handmap_core.ik.tasks import JointPositions
 from handmap_qp import (
     Follower,
@@ -27,7 +29,9 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.errors import HandmapError
+from handmap_qp.hands.robot import load_robot
 from handmap_qp.mapping.method import core_pose
+from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -37,6 +41,8 @@ HUMAN = load_hand(
 ROBOT = load_hand("three_finger")
 COLUMNS = sample_columns(DEMO.part(slice(0, 150)))
 SAMPLE = COLUMNS.sample(20)
+MEETING = meeting_hands()
+PEOPLE = {side: load_hand(human_name(side), points="landmarks") for side in MEETING}
 PATIENCE = 60.0  # of what must happen soon [s]
 
 
@@ -191,6 +197,52 @@ def test_threads_on_one_mapper_end_in_order() -> None:
         finally:
             stop.set()
         future.result(PATIENCE)
+
+
+# -- mappers of their own, and a robot whose samples are mapped without the interpreter's lock
+
+
+def mapped(mapper: HandMapper | RobotMapper) -> np.ndarray:
+    """Return the commands of a mapper that follows both hands, or the right one."""
+    found = []
+    for i in range(60):
+        if isinstance(mapper, RobotMapper):
+            both = {side: each.landmarks[4 * i] for side, each in MEETING.items()}
+            step = mapper.map_landmarks(both, dt=4 / 60)
+        else:
+            step = mapper.map_landmarks(COLUMNS.landmarks[i], dt=1 / 60)
+        found.append(step.command.q)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", ["hand", "robot"])
+def test_threads_on_mappers_of_their_own_get_what_each_gets_alone(kind: str) -> None:
+    mappers: list[HandMapper | RobotMapper]
+    if kind == "hand":
+        mappers = [HandMapper(HUMAN, ROBOT, preset) for preset in (None, "paper")]
+    else:
+        mappers = [two_handed(preset) for preset in ("teleoperation", "object")]
+    alone = [mapped(copy.deepcopy(each)) for each in mappers]
+    with ThreadPoolExecutor(2) as pool:
+        for found, expected in zip(pool.map(mapped, mappers), alone, strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_a_robot_at_work_refuses_other_threads() -> None:
+    mapper = two_handed("teleoperation")
+    hands = {side: each.landmarks[0] for side, each in MEETING.items()}
+
+    def work() -> Any:
+        return mapper.map_landmarks(hands, dt=0.02)
+
+    work()
+    in_core = mapper.core
+    refused_while(work, [work, lambda: mapper.motion, lambda: copy.deepcopy(mapper)])
+    assert mapper.core is in_core
+
+
+def two_handed(preset: str) -> RobotMapper:
+    return RobotMapper(load_robot("ur5_pair"), PEOPLE, preset)
 
 
 # -- the core by itself, where a call of Python inside it lets other threads in

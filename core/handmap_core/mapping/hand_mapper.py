@@ -64,7 +64,9 @@ class HandMapper(Mapper[core.HandMapper, AnySolver], Generic[Source, AnySolver])
         InvalidInputError: If `dt` cannot be used.
 
     One thread at a time works on a mapper: while it maps, other threads that enter get a
-    `MapperBusyError`, and nothing changes.
+    `MapperBusyError`, and nothing changes. Mappers of their own do not disturb each other. Other
+    threads of Python go on while a sample is mapped that takes long: the core then gives up the
+    interpreter's lock. It keeps the lock while the samples before took less than 0.3 ms.
     """
 
     def __init__(self, source: Source, solver: AnySolver, dt: float) -> None:

@@ -100,6 +100,9 @@ class RobotMapper(Mapper[core.RobotMapper, AnySolver], Generic[Source, AnySolver
 
     Raises:
         InvalidInputError: If a time cannot be used.
+
+    As of `HandMapper`, one thread at a time works on a mapper, and others get a `MapperBusyError`.
+    Other threads of Python go on meanwhile: the core moves a robot without the interpreter's lock.
     """
 
     def __init__(

@@ -25,7 +25,8 @@ constexpr double kOnItsWay = 0.7;
 // To look ahead: time of a sample that is foreseen [s], and their number, at most.
 constexpr double kSample = 0.1;
 constexpr int kSamples = 6;
-// QPs that are foreseen in a second, and in one sample at most, of one hand. None is foreseen in a sample in which so many distances were measured.
+// QPs that are foreseen in a second, and in one sample at most, of one hand; none in a sample in which so
+// many distances were measured.
 constexpr double kForeseen = 800.0, kForeseenAtOnce = 8.0;
 constexpr std::int64_t kMostDistances = 200;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].

@@ -3,6 +3,7 @@
 Its messages are the types of `handmap_qp.client.messages`.
 
 One session, without sockets: `session`, `safety`, and `opening` from a request. All sessions:
-`dispatch` reads and answers messages; `sessions`, `store`, `settings`. Transports: `server` and
-`connection_gate` (ZeroMQ), `websocket` and `pages`, `keys`. What operators see: `cli`, `logs`.
+`dispatch` reads and answers messages; `sessions`, `store`, `settings`. Transports: `server`, with
+`listening`, `direct` and `zmtp` (ZeroMQ), `connection_gate` and `keys` (encrypted), `websocket` and
+`pages`. What operators see: `cli`, `logs`.
 """

@@ -20,24 +20,17 @@ import socket
 import time
 from collections.abc import Generator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from logging import WARNING
 
 import zmq
 
-from handmap_qp.apps.refusals import naming
-from .fairness import crowded_accounts
-from .logs import Metrics, Throttle
+from .listening import Client, Connection, Listener
+from .logs import Metrics
 from .safety import Bucket
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""
 _STARVED = 1.0
 """Time without credit after which a connection ends [s]."""
-_ACCEPTED = 8
-"""Connections accepted in one turn of the event loop."""
-_AT_ONCE = 2048
-"""Bytes of a client that the gate passes on at once."""
 _BUFFER = 4096
 """Bytes that wait for a client before the gate stops reading from the socket."""
 _GREETING = 64
@@ -77,175 +70,191 @@ def count_frames() -> Generator[int, bytes, None]:
         data = rest + (yield count)
 
 
-@dataclass(eq=False)
-class ConnectionGate:
+class ConnectionGate(Listener):
     """Listens in front of a socket: an asynchronous context manager that returns the port.
 
-    Attributes:
+    Args:
         socket: The socket, which then admits connections of this process only.
-        name: Name of the port, for counters and log.
-        host: Address to listen on.
-        port: Port; 0 lets the system choose.
-        most: Connections at once.
+        name: As of `Listener`.
+        host: Likewise.
+        port: Likewise.
+        most: Likewise.
         credit: Bytes that a connection may send before the service has read a message.
-        metrics: Counters.
-        evicts: Whether a connection beyond `most` may end one of its own address: one without a
-            message, or else the one that was silent for longest. Otherwise it is refused, unless
-            another address has more connections, which then gives one up.
-        clients: The connections.
+        metrics: As of `Listener`.
+        evicts: Likewise.
+
+    Attributes:
+        inner: Name of the socket, which others do not know.
+        credit: As given.
     """
 
-    socket: zmq.Socket
-    name: str
-    host: str
-    port: int
-    most: int
-    credit: float
-    metrics: Metrics
-    evicts: bool = False
+    def __init__(
+        self,
+        socket: zmq.Socket,
+        name: str,
+        host: str,
+        port: int,
+        most: int,
+        credit: float,
+        metrics: Metrics,
+        *,
+        evicts: bool = False,
+    ) -> None:
+        def make() -> _Client:
+            return _Client(self)
 
-    def __post_init__(self) -> None:
-        """Put the gate in front of the socket, which gets a name that others do not know."""
+        super().__init__(make, name, host, port, most, metrics, evicts=evicts)
+        self.credit = credit
         self.inner = f"handmap-{secrets.token_hex(16)}"
-        self.socket.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
-        self.socket.bind(f"ipc://@{self.inner}")
-        self.clients = set[_Client]()
-        self._known = dict[bytes, _Client]()
-        self._refusals = Throttle()
+        socket.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
+        socket.bind(f"ipc://@{self.inner}")
+        # Connections by the name of the gate's end, and by the identity that the socket gave them.
+        self._named: dict[bytes, _Client] = {}
+        self._known: dict[bytes, _Client] = {}
 
-    async def __aenter__(self) -> int:
-        advice = "give a free port at an IP address of this machine"
-        with naming(f"{self.host}:{self.port}", advice=advice):
-            self._server = await asyncio.start_server(
-                lambda *streams: self.admit(_Client(self, *streams)),
-                *(self.host, self.port),
-                limit=_AT_ONCE,
-                backlog=_ACCEPTED,
-            )
-        bound, *_ = self._server.sockets
-        # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
-        with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
-            listening.listen()
-        return bound.getsockname()[1]
+    def note_name(self, client: "_Client") -> None:
+        """Note the name of a connection's end."""
+        self._named[client.name] = client
 
-    async def __aexit__(self, *_: object) -> None:
-        # The last messages of sessions that end are still on their way.
-        await asyncio.sleep(0.05)
-        self._server.close()
-        for client in list(self.clients):
-            client.end()
-
-    def admit(self, client: "_Client") -> None:
-        """Count a connection in, and end one if there are too many.
-
-        It is one of the address that has most, so that nobody shuts out other addresses.
-        """
-        if len(self.clients) >= self.most:
-            crowded = crowded_accounts(
-                (each.address for each in self.clients), client.address
-            )
-            rivals = [each for each in self.clients if each.address in crowded]
-            is_refused = client.address in crowded and not self.evicts
-            least = min(rivals, key=lambda each: (bool(each.identity), each.heard))
-            (client if is_refused else least).end("too many connections")
-        if not client.writer.is_closing():
-            self.clients.add(client)
-
-    def release(self, client: "_Client", reason: str) -> None:
+    def release(self, client: Client, reason: str) -> None:
         """Count a connection out; if the gate ended it, count and log the reason."""
-        self.clients.discard(client)
+        super().release(client, reason)
         self._known.pop(client.identity, None)
-        if reason:
-            self.metrics.refusals[self.name] += 1
-            self._refusals.report(WARNING, "ended", port=self.name, reason=reason)
+        if isinstance(client, _Client):
+            self._named.pop(client.name, None)
 
     def find(self, message: Sequence[zmq.Frame]) -> "_Client | None":
         """Return the connection of a message from a ROUTER socket; None if it has ended."""
         identity = message[0].bytes
         if not (client := self._known.get(identity)):
             # The socket's descriptor of a connection shows the name of the gate's end.
-            with suppress(OSError, StopIteration):
+            with suppress(OSError, KeyError):
                 descriptor = int(message[-1].get(zmq.SRCFD))
                 with socket.fromfd(
                     descriptor, socket.AF_UNIX, socket.SOCK_STREAM
                 ) as end:
                     name = end.getpeername()
-                client = next(each for each in self.clients if each.name == name)
+                client = self._named[name]
                 client.identity = identity
                 self._known[identity] = client
         return client
 
 
-@dataclass(eq=False)
-class _Client:
-    """A client's connection, `heard` [s]; a ROUTER knows its identity, the socket its name."""
+class _Inner(Connection):
+    """The end of a connection at the gate's own socket.
 
-    gate: ConnectionGate
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
-    name = identity = b""
+    Args:
+        client: The connection.
+    """
 
-    def __post_init__(self) -> None:
-        # The peer may have gone already.
-        self.address, *_ = self.writer.get_extra_info("peername") or ("unknown",)
-        self.heard = time.monotonic()
-        self._credit = Bucket(_RATE, self.gate.credit)
-        self._has_credit = asyncio.Event()
-        self._task = asyncio.create_task(self._serve())
-        self._task.add_done_callback(lambda _: self.end())
+    def __init__(self, client: "_Client") -> None:
+        super().__init__(_BUFFER)
+        self._client = client
 
-    async def _serve(self) -> None:
-        """Pass bytes on both ways until one side ends."""
-        self.writer.transport.set_write_buffer_limits(high=_BUFFER)
-        with socket.socket(socket.AF_UNIX) as end, suppress(OSError):
-            end.setblocking(False)
-            # The system chooses a unique name.
-            end.bind("")
-            self.name = end.getsockname()
-            loop = asyncio.get_running_loop()
-            await loop.sock_connect(end, f"\0{self.gate.inner}")
-            reader, writer = await asyncio.open_unix_connection(sock=end, limit=_BUFFER)
+    def receive(self, data: bytes) -> None:
+        """Pass on to the client what the socket sends; see `_Client.pause_writing`."""
+        self._client.writer.write(data)
+
+    def end(self, reason: str = "") -> None:
+        """End the connection, if by the gate with the reason."""
+        self._client.end(reason)
+
+
+class _Client(Client):
+    """A client's connection; a ROUTER knows its identity, the socket its name.
+
+    Args:
+        gate: The gate.
+    """
+
+    def __init__(self, gate: ConnectionGate) -> None:
+        super().__init__(gate)
+        self.name = b""
+        self._gate = gate
+        self._credit = Bucket(_RATE, gate.credit)
+        self._frames = count_frames()
+        next(self._frames)
+        self._early = b""
+        self._inner: _Inner | None = None
+        self._is_slow = False
+        self._opening: asyncio.Task[None] | None = None
+        self._starving: asyncio.TimerHandle | None = None
+
+    def begin(self) -> None:
+        """Connect to the socket."""
+        self.writer.set_write_buffer_limits(high=_BUFFER)
+        self._opening = asyncio.create_task(self._open())
+
+    async def _open(self) -> None:
+        """Connect to the socket, and pass on what has arrived meanwhile."""
+        loop = asyncio.get_running_loop()
+        with socket.socket(socket.AF_UNIX) as end:
             try:
-                await asyncio.gather(self._send(writer), self._receive(reader))
-            finally:
-                writer.transport.abort()
-
-    async def _send(self, writer: asyncio.StreamWriter) -> None:
-        """Pass on to the socket what the client has credit for."""
-        frames = count_frames()
-        next(frames)
-        while data := await self.reader.read(_AT_ONCE):
-            try:
-                cost = len(data) + _FRAME * frames.send(data)
-            except ValueError as error:
-                self.end(str(error))
+                end.setblocking(False)
+                # The system chooses a unique name.
+                end.bind("")
+                self.name = end.getsockname()
+                self._gate.note_name(self)
+                await loop.sock_connect(end, f"\0{self._gate.inner}")
+                _, inner = await loop.create_unix_connection(
+                    lambda: _Inner(self), sock=end.dup()
+                )
+            except OSError:
+                self.end()
                 return
-            writer.write(data)
-            if self._credit.charge(cost) <= 0.0:
-                self._has_credit.clear()
-                try:
-                    async with asyncio.timeout(_STARVED):
-                        await self._has_credit.wait()
-                except TimeoutError:
-                    self.end("a client sent more than its messages need")
-        self.end()
+        self._inner = inner
+        if self._is_slow:
+            inner.writer.pause_reading()
+        self.writer.resume_reading()
+        if early := self._early:
+            self._early = b""
+            self.receive(early)
 
-    async def _receive(self, reader: asyncio.StreamReader) -> None:
-        """Pass on to the client what the socket sends, as fast as it reads."""
-        while data := await reader.read(_BUFFER):
-            self.writer.write(data)
-            await self.writer.drain()
-        self.end()
+    def receive(self, data: bytes) -> None:
+        """Pass on to the socket what the client has credit for."""
+        if self._inner is None:
+            self._early = data
+            self.writer.pause_reading()
+            return
+        try:
+            cost = len(data) + _FRAME * self._frames.send(data)
+        except ValueError as error:
+            self.end(str(error))
+            return
+        self._inner.writer.write(data)
+        if self._credit.charge(cost) <= 0.0 and self._starving is None:
+            self.writer.pause_reading()
+            loop = asyncio.get_running_loop()
+            reason = "a client sent more than its messages need"
+            self._starving = loop.call_later(_STARVED, self.end, reason)
+
+    def pause_writing(self) -> None:
+        """Read no more from the socket than the client reads."""
+        self._is_slow = True
+        if self._inner is not None:
+            self._inner.writer.pause_reading()
+
+    def resume_writing(self) -> None:
+        """Read from the socket again."""
+        self._is_slow = False
+        if self._inner is not None:
+            self._inner.writer.resume_reading()
 
     def refund(self, cost: float) -> str:
         """Give credit back; return the address of the client."""
         self.heard = time.monotonic()
-        if self._credit.charge(-cost) > 0.0:
-            self._has_credit.set()
+        if self._credit.charge(-cost) > 0.0 and self._starving is not None:
+            self._starving.cancel()
+            self._starving = None
+            self.writer.resume_reading()
         return self.address
 
     def end(self, reason: str = "") -> None:
-        """End the connection, if by the gate with the reason."""
-        self.gate.release(self, reason)
-        self.writer.transport.abort()
-        self._task.cancel()
+        """Count the connection out and end it, if by the gate with the reason."""
+        super().end(reason)
+        if self._starving is not None:
+            self._starving.cancel()
+        if self._opening is not None:
+            self._opening.cancel()
+        if self._inner is not None:
+            self._inner.writer.abort()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, WARNING
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeGuard
 
 import msgspec
 from msgspec import structs
@@ -119,8 +119,9 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         return _wrong_protocol(request.seq, request.protocol, messages.PROTOCOLS)
     if request.protocol < _STOP_PROTOCOL and isinstance(request, Stop | Clear):
         return _wrong_protocol(request.seq, request.protocol, (_STOP_PROTOCOL,))
-    for place, message in _wrong_poses(request):
-        return Error(seq=request.seq, code="invalid", message=message, field=place)
+    if _has_pose(request):
+        for place, message in _wrong_poses(request):
+            return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
 
 
@@ -189,7 +190,15 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     return message, path
 
 
-def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
+def _has_pose(request: AnyRequest) -> TypeGuard[Step | Open | Reset]:
+    """Return whether a request has a pose; most samples have none."""
+    if isinstance(request, Step):
+        own = request.wrist or request.base or request.object_pose
+        return own is not None or request.hands is not None
+    return isinstance(request, Open | Reset)
+
+
+def _wrong_poses(request: Step | Open | Reset) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
     for name, pose in _poses(request):
         if pose is None:
@@ -203,22 +212,18 @@ def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
             yield f"{name}.position", message
 
 
-def _poses(request: AnyRequest) -> list[tuple[str, Pose | None]]:
+def _poses(request: Step | Open | Reset) -> list[tuple[str, Pose | None]]:
     """Return the poses of a request, with the paths of their fields."""
-    match request:
-        case Step():
-            poses = [
-                ("wrist", request.wrist),
-                ("base", request.base),
-                ("object_pose", request.object_pose),
-            ]
-            for side, hand in (request.hands or {}).items():
-                poses.append((f"hands.{side}.wrist", hand.wrist))
-            return poses
-        case Open() | Reset():
-            return [("robot_wrist", request.robot_wrist)]
-        case _:
-            return []
+    if not isinstance(request, Step):
+        return [("robot_wrist", request.robot_wrist)]
+    poses = [
+        ("wrist", request.wrist),
+        ("base", request.base),
+        ("object_pose", request.object_pose),
+    ]
+    for side, hand in (request.hands or {}).items():
+        poses.append((f"hands.{side}.wrist", hand.wrist))
+    return poses
 
 
 def connection_rates(rate: float, clock: Callable[[], float]) -> tuple[Bucket, Bucket]:

@@ -283,7 +283,10 @@ class SessionClock:
         return is_led and self._request.return_after is not None
 
     def _limited(self, dt: float) -> float:
-        return min(max(dt, SHORTEST_DT), self._request.max_dt)
+        longest = self._request.max_dt
+        if dt > longest:
+            return longest
+        return dt if dt > SHORTEST_DT else SHORTEST_DT
 
 
 class CommandedRobot(Gate):
@@ -422,10 +425,15 @@ class Bucket:
 
     def take(self) -> bool:
         """Count an event; return whether it is allowed."""
-        if self.charge(0.0) < 1.0:
-            return False
-        self._left -= 1.0
-        return True
+        # Not by `charge`: each message of the service takes from a bucket.
+        now = self._clock()
+        left = self._left + (now - self._then) * self._rate
+        self._then = now
+        if left > self._burst:
+            left = self._burst
+        is_allowed = left >= 1.0
+        self._left = left - 1.0 if is_allowed else left
+        return is_allowed
 
     def charge(self, count: float) -> float:
         """Count events that have happened; return how many are left, negative for a debt.

@@ -5,7 +5,8 @@
 
 A reader needs one SUB socket for each session, because PUB keeps the newest message only. Off
 loopback, both sockets use CURVE and admit only the clients whose public keys are in the folder of
-keys. The server also starts WebSocket and HTTP.
+keys. libzmq then reads the requests (`connection_gate`); without keys the server does (`direct`).
+The server also starts WebSocket and HTTP.
 """
 
 import asyncio
@@ -13,7 +14,7 @@ import contextlib
 import json
 import resource
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from logging import ERROR, INFO
 
@@ -27,8 +28,10 @@ from handmap_core.errors import InvalidOptionsError, expect
 from handmap_qp.apps.refusals import naming
 from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
+from .direct import NO_HANDSHAKE, DirectClient, DirectPort
 from .dispatch import Dispatcher
 from .keys import ClientKeys, read_server_keys, read_token
+from .listening import Listener
 from .load import TimedSelector
 from .logs import AuditLog, Metrics, Throttle, logs_on_stderr, report
 from .opening import HandCache
@@ -64,9 +67,6 @@ _REASONS = {
     zmq.Event.HANDSHAKE_FAILED_AUTH: "the client's key is not among the keys in clients/",
     zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC: "the client's server.key is another server's",
 }
-_NO_HANDSHAKE = (
-    "only one of client and server uses keys, or the client does not speak ZeroMQ"
-)
 # Idle connections must not use up the descriptors that clients need.
 _MOST_FILES = 65536
 
@@ -85,6 +85,7 @@ class Server:
         backend: Answers messages.
         metrics: Counters.
         ports: The ports in use by name, once started.
+        requests: The port of requests, once started.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -115,6 +116,9 @@ class Server:
         self._keys = None
         self._tasks = []
         self._bugs = Throttle()
+        # The encrypted port; None without keys.
+        self._router: zmq.Socket | None = None
+        self._gate: ConnectionGate | None = None
         self._is_draining = False
         self._parts: list[zmq.Frame] = []
         self._cost = 0
@@ -176,17 +180,14 @@ class Server:
             )
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
-        self._router = self._socket(plain, zmq.ROUTER)
         self._stream = self._socket(plain, zmq.PUB)
         host = "127.0.0.1" if settings.host == "localhost" else settings.host
         most = _CONNECTIONS_PER_SESSION * settings.sessions
-        credit = settings.message_size + _ENVELOPE
-        gate = "requests", host, settings.port, most, credit, self.metrics
-        self._gate = ConnectionGate(self._router, *gate, evicts=True)
+        self.requests = self._request_port(plain, host, most)
         gate = "stream", host, settings.stream_port, most, _TOPICS, self.metrics
         stream = ConnectionGate(self._stream, *gate)
         self._readers = stream.clients
-        self.ports["requests"] = await self._closing.enter_async_context(self._gate)
+        self.ports["requests"] = await self._closing.enter_async_context(self.requests)
         port = await self._closing.enter_async_context(stream)
         self.ports["stream"] = self.backend.stream_port = port
         self.backend.publish.append(self._publish)
@@ -206,11 +207,13 @@ class Server:
             self._closing.callback(health.close)
             self.ports["health"] = next(iter(health.sockets)).getsockname()[1]
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(self._router.FD, self._drain)
-        self._closing.callback(self._loop.remove_reader, self._router.FD)
+        if self._router is not None:
+            self._loop.add_reader(self._router.FD, self._drain)
+            self._closing.callback(self._loop.remove_reader, self._router.FD)
         watches = [
             _report_handshakes(context, socket, self.metrics)
             for socket in (self._router, self._stream)
+            if socket is not None
         ]
         self._tasks = [
             asyncio.create_task(work) for work in (self._watchdogs.run(), *watches)
@@ -263,14 +266,45 @@ class Server:
             socket.curve_server = True
         return socket
 
+    def _request_port(self, context: zmq.Context, host: str, most: int) -> Listener:
+        """Return the port of requests, which libzmq reads if it is encrypted.
+
+        Args:
+            context: Context of libzmq.
+            host: Address to listen on.
+            most: Connections at once.
+        """
+        settings = self.settings
+        if not settings.keys:
+            where = host, settings.port, most, settings.message_size, self.metrics
+            return DirectPort(self._handle, *where)
+        self._router = self._socket(context, zmq.ROUTER)
+        credit = settings.message_size + _ENVELOPE
+        gate = "requests", host, settings.port, most, credit, self.metrics
+        self._gate = ConnectionGate(self._router, *gate, evicts=True)
+        return self._gate
+
+    def _handle(
+        self, client: DirectClient, payload: bytes, answer: Callable[[bytes], None]
+    ) -> None:
+        """Handle one message of a client without a key."""
+        try:
+            self.backend.receive(payload, client.identity, answer, by=client.caller)
+        except Exception as error:
+            self._bugs.report(ERROR, "failed", failure=error)
+
     def _drain(self) -> None:
         """Read up to a batch of waiting parts; then a sample is mapped, and other tasks run."""
-        if self._router.closed:
+        router = self._router
+        if router is None or router.closed:
             return
         self._is_draining = True
         try:
             for _ in range(_BATCH):
-                frame = self._router.recv(zmq.NOBLOCK, copy=False)
+                # An exception where nothing waits takes several times as long as the question.
+                if not (self._parts or _has_message(router)):
+                    return
+                frame = router.recv(zmq.NOBLOCK, copy=False)
                 self._cost += cost_of(frame)
                 # Keep one part too many of a message that has too many.
                 if len(self._parts) <= _MOST_PARTS:
@@ -287,7 +321,7 @@ class Server:
 
     def _receive(self, parts: Sequence[zmq.Frame], cost: int) -> None:
         """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
-        client = self._gate.find(parts)
+        client = self._gate.find(parts) if self._gate else None
         *envelope, payload = (part.bytes for part in parts)
         if len(parts) > _MOST_PARTS or any(envelope[1:]):
             if client:
@@ -305,12 +339,14 @@ class Server:
             self._bugs.report(ERROR, "failed", failure=error)
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
+        router = self._router
+        assert router is not None
         try:
-            self._router.send_multipart([*envelope, payload], zmq.NOBLOCK)
+            router.send_multipart([*envelope, payload], zmq.NOBLOCK)
         except zmq.ZMQError:
             self.metrics.counts["dropped"] += 1
-        if not self._is_draining:
-            # ZeroMQ's descriptor is edge-triggered, and sending may have consumed the edge.
+        # ZeroMQ's descriptor is edge-triggered, and sending may have consumed the edge.
+        if not self._is_draining and not router.closed and _has_message(router):
             self._loop.call_soon(self._drain)
 
     def _publish(self, name: str, payload: bytes) -> None:
@@ -323,6 +359,11 @@ class Server:
         """Read what a lost edge has left unread, and run the watchdogs."""
         self._drain()
         return self.backend.tick()
+
+
+def _has_message(socket: zmq.Socket) -> bool:
+    """Return whether a message waits in a socket."""
+    return bool(int(socket.get(zmq.EVENTS)) & zmq.POLLIN)
 
 
 async def _report_handshakes(
@@ -341,7 +382,7 @@ async def _report_handshakes(
                 event = await recv_monitor_message(events)
                 metrics.refusals["handshake"] += 1
                 known = _REASONS.get(event["event"]) or _REASONS.get(event["value"])
-                failed.report(INFO, "handshake", reason=known or _NO_HANDSHAKE)
+                failed.report(INFO, "handshake", reason=known or NO_HANDSHAKE)
         finally:
             socket.disable_monitor()
 

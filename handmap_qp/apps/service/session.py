@@ -39,6 +39,7 @@ from handmap_core.client.messages import (
     State,
     Step,
 )
+from handmap_core.core import core
 from handmap_core.errors import HandmapError, RefusedError
 from handmap_core.se3 import Array
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
@@ -49,6 +50,7 @@ from handmap_qp.mapping import (
     HandMapper,
     MapStep,
     Placement,
+    RobotCommand,
     RobotMapper,
     check_joints,
 )
@@ -191,7 +193,9 @@ class SampleForm:
         }
         if sample.values is not None:
             return self._layout.read(np.array(sample.values), **common)
-        landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+        landmarks = UNSEEN
+        if sample.landmarks is not None:
+            landmarks = core.array_of_rows(sample.landmarks)
         # Messages were checked, except for their number of landmarks.
         is_hand = landmarks.shape == UNSEEN.shape
         make = HumanSample.of_checked if is_hand else HumanSample
@@ -231,9 +235,9 @@ class SampleForm:
             raise _alien("object_pose")
         if grips:
             given["measured_q"] = measured
-            is_asked = self._request.grip is not None
-            is_bare = is_asked and measured is None
-            refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
+            if measured is None and self._request.grip is not None:
+                message = "missing; it must come with a grip"
+                raise RefusedError("invalid", message, field="measured_q")
         if sample.object_centre is not None:
             if not grips or measured is None or self._sides:
                 raise _alien("object_centre")
@@ -447,7 +451,8 @@ class Session:
         """
         try:
             humans = self._form.each(sample, self._form.read)
-            self.measure(sample, now)
+            if sample.measured_q is not None:
+                self.measure(sample, now)
             dt, flags = self._clock.grant(sample.time, now)
             self._grant(dt)
             if self.request.resume == "engage" and self._state.is_silent:
@@ -463,7 +468,8 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._reset_mapper()
             raise
-        self._effort = step.command.effort
+        command = step.command
+        self._effort = command.effort
         status = step.status
         is_held = step.is_held
         if rule := step.rule:
@@ -476,7 +482,7 @@ class Session:
             self.counts["steps"] += 1
             flags = self._accept(now) + flags
             if self._state is SessionState.FOLLOWING:
-                flags += self._follow(step)
+                flags += self._follow(command)
                 self._assumed.add(step)
                 self._measure_gap(sample.time, humans)
             else:
@@ -707,7 +713,9 @@ class Session:
                 # `SampleForm.read` refuses joint angles without a wrist.
                 assert wrist is not None
                 return mapper.map_step(np.array(sample.q), wrist, **held)
-            return mapper.map_points(np.array(sample.points), wrist, **held)
+            # `SampleForm.read` refuses samples without points.
+            assert sample.points is not None
+            return mapper.map_points(core.array_of_rows(sample.points), wrist, **held)
         held["arrival"] = now if self.request.time_from == "server" else None
         if isinstance(follower, RobotFollower | RobotGripFollower):
             return follower.map_samples(humans, **held)
@@ -812,18 +820,19 @@ class Session:
 
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
+        self._clock.feed(now)
+        if self._state is SessionState.FOLLOWING:
+            return []
         flags = ["resumed"] * self._state.is_silent
         self._handle("sample")
-        self._clock.feed(now)
         return flags
 
-    def _follow(self, step: MapStep) -> list[str]:
+    def _follow(self, target: RobotCommand) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
         solver = self._hands.mapper.point_ik
         if solver.options.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow_command(solver.gate, step.command)
+            self._commanded.follow_command(solver.gate, target)
             return []
-        target = step.command
         is_there = self._commanded.move_to(target.q, target.wrist, self._when)
         self._is_slewing = not is_there
         return ["slewing"] * self._is_slewing

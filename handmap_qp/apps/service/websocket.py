@@ -24,7 +24,7 @@ from typing import Any
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
-from websockets.frames import CTRL_OPCODES, Frame
+from websockets.frames import CTRL_OPCODES, DATA_OPCODES, Frame, Opcode
 from websockets.http11 import Request, Response
 from websockets.protocol import Event
 from websockets.typing import Subprotocol
@@ -155,30 +155,48 @@ class WebSocketTransport:
             self._connections.discard(connection)
 
     async def _read(self, connection: "_Connection") -> None:
-        """Pass messages to the dispatcher until the connection closes or is silent for too long."""
+        """Serve a connection until it closes or is silent for too long.
+
+        It passes on nearly all messages itself; those that must wait are passed on here.
+        """
         by = Caller(_address_of(connection))
-        with contextlib.suppress(ConnectionClosed, TimeoutError):
+        connection.receive = partial(self._receive, connection, by)
+        with contextlib.suppress(ConnectionClosed):
             while True:
                 # A connection that reads a stream may be silent.
-                idle = None if connection.streams else self.settings.idle
-                async with asyncio.timeout(idle):
-                    message = await connection.recv()
-                connection.heard = monotonic()
-                form: _Form = bytes
-                if isinstance(message, str):
-                    form = _as_json
-                    message = _from_json(message)
-                is_taken = self.backend.receive(
-                    message,
-                    ("web", connection.id),
-                    partial(connection.answer, form),
-                    subscribe=partial(self._subscribe, connection, form),
-                    by=by,
-                )
-                # Stop reading from clients that do not read, and slow those over the rate limit.
+                idle = self.settings.idle - (monotonic() - connection.heard)
+                try:
+                    async with asyncio.timeout(None if connection.streams else idle):
+                        message = await connection.recv()
+                except TimeoutError:
+                    if connection.streams or connection.is_heard(self.settings.idle):
+                        continue
+                    return
+                # Slow clients over the rate limit.
+                await asyncio.sleep(connection.slowed_until - monotonic())
+                connection.waiting -= 1
+                connection.receive(message)
+                # Stop reading from clients that do not read.
                 await connection.drain()
-                if not is_taken:
-                    await asyncio.sleep(_PENALTY)
+
+    def _receive(
+        self, connection: "_Connection", by: Caller, message: str | bytes
+    ) -> None:
+        """Handle one message."""
+        connection.heard = monotonic()
+        form: _Form = bytes
+        if isinstance(message, str):
+            form = _as_json
+            message = _from_json(message)
+        is_taken = self.backend.receive(
+            message,
+            ("web", connection.id),
+            partial(connection.answer, form),
+            subscribe=partial(self._subscribe, connection, form),
+            by=by,
+        )
+        if not is_taken:
+            connection.slowed_until = connection.heard + _PENALTY
 
     def _subscribe(self, connection: "_Connection", form: "_Form", name: str) -> None:
         if len(connection.streams) >= MOST_SESSIONS:
@@ -201,9 +219,18 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
 
     It reads little in a turn, and bounds empty fragments and control frames: the library does not.
     It ends if its client accepts nothing for too long.
+
+    It passes on a message as soon as it is read: a task that waits for it would run in a later turn
+    of the event loop. Only a message in fragments, and those of a client that does not read or is
+    over the rate limit, wait in the library's queue for such a task.
     """
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        # Handles a message; None before the connection is admitted.
+        self.receive: Callable[[str | bytes], None] | None = None
+        # Messages in the library's queue, and the time until which all must wait there [s].
+        self.waiting = 0
+        self.slowed_until = 0.0
         self.streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes | str] = {}
         # Time of its last message, at first of its beginning [s].
@@ -229,12 +256,40 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
             is_control and not self._controls.take()
         ):
             self.transport.abort()
-        else:
+        elif not self._handle_at_once(event):
             super().process_event(event)
+
+    def _handle_at_once(self, event: Event) -> bool:
+        """Handle a frame that is a message; return False for what the library must look at."""
+        if not isinstance(event, Frame) or event.opcode not in DATA_OPCODES:
+            return False
+        is_whole = event.fin and event.opcode is not Opcode.CONT
+        is_next = not (self.waiting or self.paused or monotonic() < self.slowed_until)
+        if self.receive is None or not (is_whole and is_next):
+            self.waiting += event.fin
+            return False
+        message: str | bytes = bytes(event.data)
+        if event.opcode is Opcode.TEXT:
+            try:
+                message = bytes(event.data).decode()
+            except UnicodeDecodeError:
+                # The library ends the connection, and says why.
+                self.waiting += 1
+                return False
+        try:
+            self.receive(message)
+        except Exception as failure:
+            report(ERROR, "failed", failure=failure)
+            self.transport.abort()
+        return True
+
+    def is_heard(self, time: float) -> bool:
+        """Return whether there was a message in the last so many seconds."""
+        return monotonic() - self.heard < time
 
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
-        is_active = self.heard > self._begun and monotonic() - self.heard < _ACTIVE
+        is_active = self.heard > self._begun and self.is_heard(_ACTIVE)
         return is_active, bool(self.streams), self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
