@@ -95,18 +95,24 @@ class Unlocked {
 
   template <class Call>
   void run(const Call& call) {
-    const Clock::time_point started = Clock::now();
     if (took_ >= longest_) {
       const nb::gil_scoped_release no_gil;
-      call();
+      took_ = time_of(call);
     } else {
-      call();
+      took_ = time_of(call);
     }
-    took_ = std::chrono::duration<double>(Clock::now() - started).count();
   }
 
  private:
-  using Clock = std::chrono::steady_clock;
+  // Run work; return its time, without that of waiting for the lock [s].
+  template <class Call>
+  static double time_of(const Call& call) {
+    using Clock = std::chrono::steady_clock;
+    const Clock::time_point started = Clock::now();
+    call();
+    return std::chrono::duration<double>(Clock::now() - started).count();
+  }
+
   const double longest_;
   double took_ = 0.0;  // by the last work [s]
 };

@@ -240,10 +240,9 @@ def test_looking_for_another_way_takes_few_qps() -> None:
         work.append((ik.costs, ik.queries))
     costs, queries = np.diff(work, axis=0).T
     assert costs.mean() < 2.7
-    # The hand's own, and eight of a look ahead in a sample at most.
+    # Those of the hand and of its look ahead.
     assert costs.max() <= 6 + 8
-    # None is foreseen behind 200 measured distances; the last one may exceed that.
-    assert queries.max() < 500
+    assert queries.max() < 800
 
 
 def test_the_worst_sample_is_bounded(recordings: Path) -> None:

@@ -5,6 +5,9 @@
 
 namespace handmap {
 
+// Samples of a way that are foreseen, at most.
+constexpr int kSamplesAhead = 6;
+
 // A look ahead of a hand, a few QPs of it in each sample: what it foresees, and what it
 // has found.
 struct Foresight {
@@ -55,7 +58,7 @@ struct Detour {
   Vector via = {};               // posture that they pass; none in most samples
   std::vector<Vec3> points = {};  // targets for which it is sought, or was found
   Vector known = {};             // errors of the hand where it, or none, was found [cost]
-  double left = 0.0;             // time left to reach it [s]
+  double left = 0.0;             // time left to find it, or to reach it [s]
   double wait = 0.0;             // time until it may look ahead again [s]
   Foresight foresight = {};
 
@@ -86,6 +89,8 @@ struct Detour {
     for (const Vector* each : {&look.motion.displacement, &look.motion.stop_times})
       expect_list(*each, coordinates, has_none);
     expect_that(look.motion.dt > 0.0, "detours", "a time above 0");
+    expect_that(has_none || look.is_past || !look.via.empty(), "detours", "a posture to go by");
+    expect_that(has_none || look.steps < kSamplesAhead, "detours", "steps of a look ahead");
   }
 };
 

@@ -8,8 +8,8 @@
 // itself.
 //
 // A look takes some thirty QPs, which are solved roughly: nothing that is foreseen is a command. The hand
-// foresees a few of them in each sample, and goes on meanwhile: they are granted by the time of the
-// samples, so that a look takes as long at every rate, and a robot does the same on every computer.
+// foresees a few of them in each sample, and goes on meanwhile. They are granted by the time of the
+// samples and counted, so that a robot does the same on every computer.
 #pragma once
 
 #include "ik.hpp"
@@ -22,13 +22,13 @@ constexpr double kAway = 2.0;
 constexpr double kPressed = 0.004;
 // A point is on its way where a joint moves it by more than this share of its speed limit.
 constexpr double kOnItsWay = 0.7;
-// To look ahead: time of a sample that is foreseen [s], and their number, at most.
+// To look ahead: time of a sample that is foreseen [s].
 constexpr double kSample = 0.1;
-constexpr int kSamples = 6;
-// QPs that are foreseen in a second, and in one sample at most, of one hand; none in a sample in which so
-// many distances were measured.
+// QPs that are foreseen in a second, and in one sample at most, of one hand; none in a sample that has
+// measured so many distances. A look that has not ended after this time is given up [s].
 constexpr double kForeseen = 800.0, kForeseenAtOnce = 8.0;
-constexpr std::int64_t kMostDistances = 200;
+constexpr std::int64_t kMostDistances = 500;
+constexpr double kLongestLook = 1.0;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].
 constexpr double kAgain = 0.1, kLater = 0.2;
 // A detour is worth it if these shares are left of the error of a point that was away and of the sum of all
@@ -128,8 +128,9 @@ class Detours {
     const Vector here = errors(goal, result);
     if (!is_held_away(goal, here, result, time)) return;
     detour_.points = goal.points;
+    foresight_ = {};
     foresight_.credit = at_once();
-    foresight_.has_ahead = false;
+    detour_.left = kLongestLook;
     try_candidate(Candidate::rest, goal);
   }
 
@@ -156,6 +157,8 @@ class Detours {
     const bool is_held = is_held_away(given, here, result, dt * speed);
     Goal goal = given;
     goal.postures.resize(1);
+    detour_.left -= dt;
+    if (detour_.left < 0.0) return give_up(here, kLater);
     foresight_.credit = std::min(foresight_.credit + kForeseen * dt, at_once());
     while (is_looking() && foresight_.credit >= 1.0 && distances() < most_distances) {
       ik_.motion = foresight_.motion;
@@ -185,14 +188,17 @@ class Detours {
     foresight_.ended = errors(goal, result);
     if (foresight_.way == Way::by_candidate) foresight_.joints = joints();
     const auto& ended = foresight_.ended;
-    return foresight_.steps == kSamples || *std::max_element(ended.begin(), ended.end()) <= kAway;
+    return foresight_.steps >= kSamplesAhead || *std::max_element(ended.begin(), ended.end()) <= kAway;
   }
 
   // Foresee the next way, take a detour, or give up. `here` are the errors where the hand is now.
   void conclude(const Goal& goal, const Vector& here, bool is_held) {
     const Vector& ended = foresight_.ended;
     // Another method has other distances; and the hand may have come on by itself.
-    if (here.size() != ended.size() || !is_held) return give_up({}, 0.0);
+    const bool has_found = foresight_.way != Way::by_candidate;
+    if (here.size() != ended.size() || (has_found && foresight_.found.size() != here.size()) ||
+        (foresight_.has_ahead && foresight_.ahead.size() != here.size()) || !is_held)
+      return give_up({}, 0.0);
     if (foresight_.way == Way::by_candidate) {
       if (!is_nearer(ended, foresight_.has_ahead ? foresight_.ahead : here)) return try_next(goal, here);
       foresight_.found = ended;

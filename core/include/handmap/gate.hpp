@@ -226,7 +226,7 @@ class Gate : public Exclusive {
   Placed start, path_end;  // where the line that was looked at last begins and ends
 
   // Move by a displacement that nothing has admitted.
-  void go_on(const Vector& displacement, const Interval& interval) {
+  void move_unproved(const Vector& displacement, const Interval& interval) {
     times_.resize(tree.size);
     limits.stop_times(displacement, interval.dt, times_);
     move(displacement, times_, interval);
@@ -381,7 +381,7 @@ class Gate : public Exclusive {
       bool is_admitted = false;
       for (size_t c = 0; c < candidates.size() && !is_admitted; ++c) {
         // The smallest share is proved by a few distances.
-        if (pairs && pairs->is_spent() && c + 2 < candidates.size()) {
+        if (pairs && pairs->is_spent() && c + 1 < candidates.size()) {
           if (is_last) grant(kLastProof);
           c = candidates.size() - 2;
         }
@@ -404,7 +404,8 @@ class Gate : public Exclusive {
       for (int i = 0; i < n && !is_admitted; ++i)
         if (limits.together[i]) times[i] = left[i];
       // What could not be looked at by itself may still move with all others.
-      const bool is_unknown = !is_admitted && !is_last && pairs && pairs->is_spent();
+      const bool is_unknown =
+          !is_admitted && !is_last && pairs && pairs->is_spent() && !pairs->has_met();
       for (const int i : own)
         if (!is_unknown) clipped[i] = taken[i];
     }

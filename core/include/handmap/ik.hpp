@@ -163,8 +163,9 @@ class Ik : public Gate {
     if (effort.proves)
       admit(total_, first_, interval, go_around, effort.tries);
     else
-      go_on(total_, interval);
-    if (held_by < 0 && is_pressed_) held_by = pressed_pair(linear_, h_, qp_.slope(kTight), qp_.x);
+      move_unproved(total_, interval);
+    if (effort.proves && held_by < 0 && is_pressed_)
+      held_by = pressed_pair(linear_, h_, qp_.slope(kTight), qp_.x);
     at.place(motion.q.data());
     if (pairs && effort.proves) pairs->arrive(at, path_end);
     finish(goal, iterations, last_step, has_failed, result);

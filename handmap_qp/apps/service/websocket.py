@@ -152,6 +152,8 @@ class WebSocketTransport:
         except Exception as failure:
             report(ERROR, "failed", failure=failure)
         finally:
+            # What still arrives while it closes is no message.
+            connection.receive = None
             self._connections.discard(connection)
 
     async def _read(self, connection: "_Connection") -> None:
@@ -160,7 +162,7 @@ class WebSocketTransport:
         It passes on nearly all messages itself; those that must wait are passed on here.
         """
         by = Caller(_address_of(connection))
-        connection.receive = partial(self._receive, connection, by)
+        connection.receive = receive = partial(self._receive, connection, by)
         with contextlib.suppress(ConnectionClosed):
             while True:
                 # A connection that reads a stream may be silent.
@@ -175,7 +177,7 @@ class WebSocketTransport:
                 # Slow clients over the rate limit.
                 await asyncio.sleep(connection.slowed_until - monotonic())
                 connection.waiting -= 1
-                connection.receive(message)
+                receive(message)
                 # Stop reading from clients that do not read.
                 await connection.drain()
 

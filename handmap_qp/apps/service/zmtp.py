@@ -2,13 +2,15 @@
 
 libzmq speaks it too, in a thread of its own and behind a gate that bounds what it stores
 (`connection_gate`): each message then passes the event loop three times and that thread twice. Here
-it passes the event loop once. A peer is stored for no more than its longest message.
+it passes the event loop once. A peer is stored for no more than twice its longest message.
 
 The protocol is that of https://rfc.zeromq.org/spec/37, with the mechanism NULL. The socket is a
 ROUTER, to which DEALER, REQ and ROUTER may connect.
 """
 
 from collections.abc import Callable
+
+from .safety import Bucket
 
 GREETING = 64
 """Bytes that each side sends first."""
@@ -26,6 +28,9 @@ _PONG = b"\x04PONG"
 _TTL = 2
 """Bytes of the time to live behind `PING`; the rest is its context."""
 _LONGEST_COMMAND = 4096
+# Commands of a peer in a second, and at once: heartbeats come once a second and more rarely.
+_COMMANDS_PER_SECOND = 5.0
+_COMMANDS = 50.0
 
 
 class PeerError(Exception):
@@ -90,6 +95,7 @@ class Peer:
         self._is_greeted = False
         self._data = bytearray()
         self._parts: list[bytes] = []
+        self._commands = Bucket(_COMMANDS_PER_SECOND, _COMMANDS)
 
     def receive(self, data: bytes) -> None:
         """Take bytes, whose messages `next_message` then returns."""
@@ -106,6 +112,8 @@ class Peer:
         while self._is_greeted and (found := self._next_frame()):
             flags, body = found
             if flags & _COMMAND:
+                if not self._commands.take():
+                    raise PeerError("too many commands")
                 self._obey(body)
                 continue
             if not self.is_ready:
