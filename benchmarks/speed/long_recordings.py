@@ -5,6 +5,7 @@
     python benchmarks long_recordings --hours 1 --command retarget --robot g1
     python benchmarks long_recordings --hours 1 --form csv
     python benchmarks long_recordings --hours 1 --command batch --look-ahead
+    python benchmarks long_recordings --hours 1 --command batch --format lerobot
 
 Each command runs in a process of its own, which prints its peak resident memory (VmHWM of the
 kernel: code, libraries and all arrays). `above` is what that is over the same command on a
@@ -65,6 +66,11 @@ def main() -> None:
     parser.add_argument(
         "--look-ahead", action="store_true", help="of `handmap batch` alone"
     )
+    parser.add_argument(
+        "--format",
+        choices=("lerobot", "robomimic"),
+        help="data set of `handmap batch` besides its episodes",
+    )
     parser.add_argument("--folder", type=Path, help="where the files are made")
     given = parser.parse_args()
     rows = []
@@ -78,6 +84,7 @@ def main() -> None:
                 make_hours(file, frames)
                 file = _converted(file, given.form)
                 words = ["--look-ahead"] if given.look_ahead else []
+                words += ["--format", given.format] if given.format else []
                 out = folder / f"{hours:g}"
                 peak, seconds = _peak(command, file, out, given.robot, words)
                 rows.append(

@@ -5,12 +5,13 @@ process, in any order.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from time import process_time
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -46,6 +47,7 @@ from handmap_qp.trackers import (
     in_memory,
     read_archive,
     read_long_hands,
+    read_rows,
     reading,
     recording_facts,
     write_npz,
@@ -334,55 +336,67 @@ def save_long_episode(file: Path, columns: Mapping[str, Array | DiskColumn]) -> 
         return file_digest(stream, "sha256").hexdigest()
 
 
-def read_episode(folder: Path, line: Line) -> Arrays:
-    """Verify an episode, and read what a data set for training needs of it.
+class StoredEpisode(NamedTuple):
+    """An episode on the disk, verified, whose columns are read by pieces.
+
+    Attributes:
+        file: Its file.
+        time: Its instants [s], shape (T,).
+    """
+
+    file: Path
+    time: Array
+
+    def pieces(self) -> Iterator[Arrays]:
+        """Read it from the start.
+
+        Yields:
+            `time`, `q`, `wrist` and `valid` of the next samples; the last two have one more axis
+            for the hands of a robot with two.
+
+        Raises:
+            RecordingError: If the file was damaged after it had been verified.
+        """
+        for rows in read_rows(self.file, _COLUMNS, len(self.time)):
+            yield dict(zip(_COLUMNS, rows, strict=True))
+
+
+def open_episode(folder: Path, line: Line) -> StoredEpisode:
+    """Verify an episode, to read what a data set for training needs of it.
 
     Args:
         folder: Folder of the batch.
         line: The episode's line in the manifest. Where it has no digest, as up to version 0.2, all
             arrays are read, because the archive has a checksum of each.
 
-    Returns:
-        `time`, `q`, `wrist` and `valid`, each with `line.frames` rows; the last two have one more
-        axis for the hands of a robot with two.
-
     Raises:
         RecordingError: If the file is missing, or is not what was written.
     """
     file = _verified(folder, line)
-    arrays = read_archive(file, _COLUMNS if line.sha256 else None)
-    _expect_frames(file, line, {name: array.shape for name, array in arrays.items()})
-    return {name: arrays[name] for name in _COLUMNS}
+    return StoredEpisode(file, read_archive(file, {"time"})["time"])
 
 
 def _verified(folder: Path, line: Line) -> Path:
-    """Return the file of an episode, if it has the digest of what was written."""
+    """Return the file of an episode, if it is what was written; see `open_episode`."""
     file = folder / line.out
     with reading(file), file.open("rb") as stream:
         is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
     if not is_same:
         raise RecordingError("is not what was written: its digest differs", file=file)
-    return file
-
-
-def _expect_frames(
-    file: Path, line: Line, shapes: Mapping[str, tuple[int, ...]]
-) -> None:
-    """Reject an episode whose columns have another number of rows than its line says."""
+    if not line.sha256:
+        read_archive(file)
+    # The digest is that of all numbers: they need not be read.
+    shapes = array_shapes(file, {*_COLUMNS})
     for name in _COLUMNS:
         if shapes.get(name, ())[:1] != (line.frames,):
             raise RecordingError("is missing or torn", file=file, array=name)
+    return file
 
 
 def is_intact(folder: Path, line: Line) -> bool:
-    """Return whether an episode is what was written; see `read_episode`."""
+    """Return whether an episode is what was written; see `open_episode`."""
     try:
-        if line.sha256:
-            # The digest is that of all numbers: they need not be read again.
-            file = _verified(folder, line)
-            _expect_frames(file, line, array_shapes(file, {*_COLUMNS}))
-        else:
-            read_episode(folder, line)
+        _verified(folder, line)
     except RecordingError:
         return False
     return True

@@ -25,7 +25,7 @@ from handmap_qp.trackers.formats.mcap import (
     is_bag_folder,
     read_joint_states,
 )
-from .training_sets import Columns, Episode, write_lerobot, write_robomimic
+from .training_sets import Columns, Episode, Frames, write_lerobot, write_robomimic
 
 _OWN = {"time", "joint_names", "q", "action"}
 """Arrays that every log has."""
@@ -118,13 +118,9 @@ class RobotLog:
                 _resampled(instants, time, column[own])
                 for column in (self.q, self.action, self.effort[:, known])
             )
+            frames = Frames(state, action, np.zeros((count, 0), dtype=bool), effort)
             yield Episode(
-                sources=self.name,
-                task=self.task or "teleoperation",
-                state=state,
-                action=action,
-                valid=np.zeros((count, 0), dtype=bool),
-                effort=effort,
+                self.name, self.task or "teleoperation", count, parts=[frames]
             )
 
 

@@ -42,7 +42,7 @@ from .base import (
     time_in,
 )
 from .disk_columns import DiskColumn, write_npz
-from .long import PIECE, LongRecording
+from .long import LongRecording, pieces_of
 from .pieces import recording_parts
 
 LARGEST_ARCHIVE = 1 << 30
@@ -386,6 +386,38 @@ def read_archive(
         return arrays
 
 
+def read_rows(
+    file: Path, names: Sequence[str], count: int
+) -> Iterator[tuple[Array, ...]]:
+    """Read arrays of an `.npz` file side by side, `PIECE` rows at once.
+
+    Args:
+        file: The file.
+        names: Names of the arrays, which are stored by rows.
+        count: Number of their rows.
+
+    Yields:
+        The next rows of each array.
+
+    Raises:
+        RecordingError: If the file is damaged. `array` names the member at fault.
+    """
+    with _opened(file) as (archive, members), ExitStack() as opened:
+        streams = [opened.enter_context(archive.open(members[n])) for n in names]
+        headers = []
+        for name, stream in zip(names, streams, strict=True):
+            with _reading_array(file, name):
+                headers.append(_read_header(stream))
+        for samples in pieces_of(count):
+            pieces = []
+            for name, stream, header in zip(names, streams, headers, strict=True):
+                shape = (samples.stop - samples.start, *header.shape[1:])
+                with _reading_array(file, name):
+                    data = stream.read(header.dtype.itemsize * math.prod(shape))
+                    pieces.append(np.frombuffer(data, header.dtype).reshape(shape))
+            yield tuple(pieces)
+
+
 class _LongArchive:
     """One hand of an archive, whose large arrays are read by pieces.
 
@@ -425,25 +457,10 @@ class _LongArchive:
 
     def _is_known(self, member: str) -> bool:
         """Tell whether an array has a number that is not NaN."""
-        return any(not np.isnan(rows).all() for rows in self._rows([member], PIECE))
-
-    def _rows(self, names: Sequence[str], size: int) -> Iterator[tuple[Array, ...]]:
-        """Read arrays side by side, so many rows at once."""
-        with _opened(self.path) as (archive, members), ExitStack() as opened:
-            streams = [opened.enter_context(archive.open(members[n])) for n in names]
-            headers = []
-            for name, stream in zip(names, streams, strict=True):
-                with _reading_array(self.path, name):
-                    headers.append(_read_header(stream))
-            for start in range(0, self.count, size):
-                count = min(size, self.count - start)
-                pieces = []
-                for name, stream, header in zip(names, streams, headers, strict=True):
-                    shape = (count, *header.shape[1:])
-                    with _reading_array(self.path, name):
-                        data = stream.read(header.dtype.itemsize * math.prod(shape))
-                        pieces.append(np.frombuffer(data, header.dtype).reshape(shape))
-                yield tuple(pieces)
+        return any(
+            not np.isnan(rows).all()
+            for (rows,) in read_rows(self.path, [member], self.count)
+        )
 
     def parts(self) -> Iterator[Recording]:
         """Read the hand from the first sample on.
@@ -466,7 +483,7 @@ class _LongArchive:
         """Read the columns of `PIECE` samples at once."""
         names = tuple(self._members)
         start = 0
-        for pieces in self._rows([*self._members.values()], PIECE):
+        for pieces in read_rows(self.path, [*self._members.values()], self.count):
             stop = start + len(pieces[0])
             columns: Values = {
                 name: values[start:stop] for name, values in self._columns.items()
