@@ -44,6 +44,7 @@ from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
 from .layouts.files import layout_hint, read_with_layout
+from .layouts.long_files import read_long_with_layout
 from .layouts.markers import MarkerLayout
 from .layouts.points import PointLayout
 from .layouts.tables import load_layout, table_text
@@ -89,6 +90,7 @@ __all__ = [
     "read_archive",
     "read_hands",
     "read_long_hands",
+    "read_long_with_layout",
     "read_recording",
     "read_rows",
     "read_with_layout",

@@ -47,7 +47,7 @@ def written(folder: Path, form: str, *hands: Recording) -> Path:
 def as_whole(file: Path, side: str, monkeypatch: pytest.MonkeyPatch) -> Recording:
     """Read a recording as a whole."""
     with monkeypatch.context() as patch:
-        patch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+        patch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
         (source,) = (s for s in list_sources(file) if s.entry.side == side)
         found = source.read_long()
     assert isinstance(found, Recording)
@@ -89,7 +89,7 @@ def test_retarget_writes_the_same_file(
     file = written(tmp_path, form, unseen_at_times(has_more=False))
     contents = []
     for shortest in (2, 10**6):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{shortest}.npz"
         words = ["--robot", "three_finger", "--out", str(out)]
         assert main(["retarget", str(file), *words]) == 0
@@ -104,7 +104,7 @@ def test_a_rate_is_given_to_pieces_too(
     source = find_source(file, fps=25.0)
     long = source.read_long()
     assert isinstance(long, LongRecording)
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     whole = source.read_long()
     assert isinstance(whole, Recording)
     np.testing.assert_array_equal(long.overview.time, whole.time)
@@ -128,13 +128,13 @@ def test_a_fault_is_named_as_in_a_short_recording(
     file.write_text("\n".join(lines) + "\n")
     with pytest.raises(RecordingError) as found:
         find_source(file).read_long()
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     with pytest.raises(RecordingError) as expected:
         find_source(file).read_long()
     assert str(found.value) == str(expected.value)
     # Longer ones are not read as a whole, and say it themselves.
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
-    monkeypatch.setattr(f"{FORMATS}.OVERVIEW", 100)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 2)
+    monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 100)
     with pytest.raises(RecordingError, match=column.removesuffix("_pose_00")):
         find_source(file).read_long()
 

@@ -197,7 +197,7 @@ def test_a_fault_is_named_as_in_a_short_recording(
         file.write_bytes(content)
     with pytest.raises(RecordingError) as found:
         find_source(file).read_long()
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     with pytest.raises(RecordingError) as expected:
         find_source(file).read_long()
     assert str(found.value) == str(expected.value)
@@ -211,7 +211,7 @@ def test_the_commands_write_the_same_files(
     write_recordings([replace(with_losses(), wrist=None)], file)
     written = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{name}.npz"
         words = ("--robot", ROBOT, "--out", str(out), "--json")
         assert main(["retarget", str(file), *words]) == 0

@@ -150,7 +150,7 @@ def test_the_commands_write_the_same_files(
     write_recordings([left, right], file)
     found = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{name}.npz"
         words = ("--robot", ROBOT, "--out", str(out), "--json")
         assert main(["retarget", str(file), *words]) == 0

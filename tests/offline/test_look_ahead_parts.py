@@ -103,7 +103,7 @@ def test_batch_writes_the_same_episode(
     write_recordings([without(noisy(420), slice(100, 110), slice(200, 300))], file)
     found = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         folder = tmp_path / name
         words = ["--robot", "three_finger", "--out", str(folder), "--workers", "0"]
         assert main(["batch", str(file), *words, "--look-ahead"]) == 0

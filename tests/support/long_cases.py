@@ -20,7 +20,7 @@ FORMATS = "handmap_qp.trackers.formats"
 
 def shorten_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let recordings of seconds be long ones, of many pieces."""
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 2)
     for module in (f"{FORMATS}.csv_files", f"{FORMATS}.long"):
         monkeypatch.setattr(f"{module}.PIECE", PIECE)
     monkeypatch.setattr("handmap_qp.apps.offline.long_summary.PIECE", PIECE)

@@ -64,8 +64,14 @@ _STREAMED = ("wrist", "wrist_pose", "object_pose")
 _EXPECTED = f"landmarks of one hand, shape (T, {LANDMARK_COUNT}, 3)"
 
 
-class _Header(NamedTuple):
-    """What an array is, known without reading it."""
+class ArrayHeader(NamedTuple):
+    """What an array is, known without reading it.
+
+    Attributes:
+        shape: Its shape.
+        dtype: Type of its numbers.
+        is_by_rows: Whether its rows follow each other in the file.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -135,7 +141,7 @@ class NpzFormat(RecordingFormat):
         prefix = _prefix(entry)
         array = _landmark_array(member_names(path), prefix)
         members = {"landmarks": array} | {name: prefix + name for name in _STREAMED}
-        headers = _read_headers(path, set(members.values()))
+        headers = read_headers(path, set(members.values()))
         members = {name: m for name, m in members.items() if m in headers}
         is_plain = all(
             header.is_by_rows
@@ -282,20 +288,20 @@ def _needed_landmark_array(names: set[str]) -> str:
 
 def _samples_in(path: Path, array: str) -> int:
     """Return how many samples an array of landmarks of an archive has, without reading them."""
-    headers = _read_headers(path, {array})
+    headers = read_headers(path, {array})
     return _count_samples(headers[array], array)
 
 
-def _read_header(stream: IO[bytes]) -> _Header:
+def _read_header(stream: IO[bytes]) -> ArrayHeader:
     """Read what an array is, and leave its numbers unread."""
     version = npy.read_magic(stream)
     is_first = version == (1, 0)
     read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
     shape, is_fortran, dtype = read(stream)
-    return _Header(shape, dtype, not is_fortran or len(shape) < 2)
+    return ArrayHeader(shape, dtype, not is_fortran or len(shape) < 2)
 
 
-def _count_samples(header: _Header, name: str = "") -> int:
+def _count_samples(header: ArrayHeader, name: str = "") -> int:
     """Return how many samples an array of landmarks has.
 
     Raises:
@@ -318,11 +324,23 @@ def _count_samples(header: _Header, name: str = "") -> int:
     raise InvalidInputError(argument=name, expected=_EXPECTED, got=got, advice=advice)
 
 
-def _read_headers(file: Path, names: set[str]) -> dict[str, _Header]:
-    """Read what arrays of an archive are, however large they are."""
+def read_headers(
+    file: Path, names: Container[str] | None = None
+) -> dict[str, ArrayHeader]:
+    """Read what arrays of an archive are, however large they are.
+
+    Args:
+        file: The archive.
+        names: Names of the arrays; all if omitted. Those that the file lacks are left out.
+
+    Raises:
+        RecordingError: If the file cannot be read, or is not an archive of plain arrays.
+    """
     with _opened(file) as (archive, members):
         headers = {}
-        for name in names & members.keys():
+        for name in members:
+            if names is not None and name not in names:
+                continue
             with _reading_array(file, name), archive.open(members[name]) as stream:
                 headers[name] = _read_header(stream)
         return headers
@@ -334,7 +352,7 @@ def array_shapes(file: Path, names: set[str]) -> dict[str, tuple[int, ...]]:
     Raises:
         RecordingError: If the file cannot be read, or is not an archive of plain arrays.
     """
-    return {name: header.shape for name, header in _read_headers(file, names).items()}
+    return {name: header.shape for name, header in read_headers(file, names).items()}
 
 
 @contextmanager
