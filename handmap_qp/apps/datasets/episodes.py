@@ -33,7 +33,7 @@ from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
-from handmap_qp.human import Person, Recording, tip_gaps
+from handmap_qp.human import Person, Recording, newest_at, tip_gaps
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
@@ -240,9 +240,10 @@ def measure_episode(
     """
     found = []
     for recording in recordings:
+        newest = newest_at(recording.time, trajectory.time)
         found.append(
             core.measure_episode(
-                _samples_at(recording, trajectory.time),
+                _samples_at(recording, trajectory.time, newest),
                 trajectory.valid,
                 trajectory.point_error,
                 trajectory.at_limit,
@@ -251,7 +252,7 @@ def measure_episode(
             )
         )
         if meter := _meter(robot.by_side[recording.side]):
-            found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
+            found[-1] |= _surfaces(recording, newest, trajectory, contact_gap, meter)
     rounded = {}
     for each in MEASURES:
         worse = np.fmax if each.better == "low" else np.fmin
@@ -260,15 +261,19 @@ def measure_episode(
     return rounded
 
 
-def _samples_at(recording: Recording, time: Array) -> core.Samples:
+def _samples_at(recording: Recording, time: Array, newest: Array) -> core.Samples:
     """Return the samples of a recording, one for each of T instants.
 
     Hands of different rates have different numbers of samples; the newest one at each instant
     counts, as it does where they are mapped.
+
+    Args:
+        recording: The recording.
+        time: The instants [s], shape (T,).
+        newest: Index of the newest sample at each of them, shape (T,).
     """
     if len(recording) == len(time):
         return core.Samples(recording.time, recording.landmarks, recording.valid)
-    newest = np.searchsorted(recording.time, time, "right") - 1
     is_known = newest >= 0
     newest = np.maximum(newest, 0)
     valid = recording.valid[newest] & is_known
@@ -276,11 +281,14 @@ def _samples_at(recording: Recording, time: Array) -> core.Samples:
 
 
 def _surfaces(
-    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
+    recording: Recording,
+    newest: Array,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter,
 ) -> Values:
     """Measure pinches and self-penetration in some of the samples."""
     count = len(trajectory.time)
-    newest = np.searchsorted(recording.time, trajectory.time, "right") - 1
     pinching = tip_gaps(recording.landmarks)[newest] < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))

@@ -17,6 +17,7 @@ from handmap_core.errors import RecordingError, expect
 from handmap_core.se3 import Array, Arrays, as_floats, frozen
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.hands import Names
+from handmap_qp.human import newest_at
 from handmap_qp.trackers import read_archive, reading
 from handmap_qp.trackers.formats.archive import member_names, save_npz
 from handmap_qp.trackers.formats.mcap import (
@@ -214,7 +215,7 @@ def _of_bag(path: Path) -> RobotLog:
         raise RecordingError(problem, file=path)
     columns = [states.names.index(name) for name in names]
     # The newest command at each instant; before the first one, the robot had no command.
-    newest = np.searchsorted(commands.time, states.time, "right") - 1
+    newest = newest_at(commands.time, states.time)
     led = newest >= 0
     return RobotLog(
         name=path.stem,
