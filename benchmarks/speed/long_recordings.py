@@ -5,6 +5,8 @@
     python benchmarks long_recordings --hours 1 --command retarget --robot g1
     python benchmarks long_recordings --hours 1 --form csv
     python benchmarks long_recordings --hours 1 --command batch --look-ahead
+    python benchmarks long_recordings --hours 1 --command batch --format lerobot
+    python benchmarks long_recordings --hours 1 --layout openxr26
 
 Each command runs in a process of its own, which prints its peak resident memory (VmHWM of the
 kernel: code, libraries and all arrays). `above` is what that is over the same command on a
@@ -29,7 +31,8 @@ from numpy.lib import format as npy
 
 from handmap_core.se3 import Array
 from handmap_qp import read_recording
-from handmap_qp.trackers import FORMATS, SIDES, read_hands
+from handmap_qp.human import HumanSample
+from handmap_qp.trackers import FORMATS, SIDES, Layout, load_layout, read_hands
 
 FPS = 30
 _SUFFIXES = {"npz": ".npz", "csv": ".csv", "robomimic": ".hdf5", "egodex": ".hdf5"}
@@ -65,8 +68,18 @@ def main() -> None:
     parser.add_argument(
         "--look-ahead", action="store_true", help="of `handmap batch` alone"
     )
+    parser.add_argument(
+        "--format",
+        choices=("lerobot", "robomimic"),
+        help="data set of `handmap batch` besides its episodes",
+    )
+    parser.add_argument(
+        "--layout",
+        help="layout of `handmap retarget` for a recording of the right hand",
+    )
     parser.add_argument("--folder", type=Path, help="where the files are made")
     given = parser.parse_args()
+    layout = load_layout(given.layout) if given.layout else None
     rows = []
     with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
         folder = Path(temporary)
@@ -75,9 +88,12 @@ def main() -> None:
             for hours in given.hours:
                 frames = round(3600 * FPS * hours)
                 file = folder / "hours.npz"
-                make_hours(file, frames)
+                make_hours(file, frames, layout)
                 file = _converted(file, given.form)
                 words = ["--look-ahead"] if given.look_ahead else []
+                words += ["--format", given.format] if given.format else []
+                if layout:
+                    words += ["--layout", layout.name, "--side", "right"]
                 out = folder / f"{hours:g}"
                 peak, seconds = _peak(command, file, out, given.robot, words)
                 rows.append(
@@ -96,30 +112,35 @@ def main() -> None:
     print_table("Peak resident memory by length", rows)
 
 
-def make_hours(file: Path, frames: int) -> None:
-    """Write a recording of both hands by pieces."""
+def make_hours(file: Path, frames: int, layout: Layout | None = None) -> None:
+    """Write a recording by pieces: of both hands, or of the right one in a layout."""
     hand = read_recording("demo", "right")
     seen = hand.landmarks[hand.valid]
     right = np.concatenate([seen, seen[::-1]])
-    hands = {"left": right * (-1.0, 1.0, 1.0), "right": right}
-    with zipfile.ZipFile(file, "w") as archive:
+    time = np.arange(frames) / FPS
+    columns: dict[str, Iterator[Array]] = {}
+    if layout:
+        values = [layout.write(HumanSample(0.0, "right", points)) for points in right]
+        columns["time"] = iter([time])
+        columns[layout.arrays[0]] = _repeated(np.array(values), frames)
+    else:
+        hands = {"left": right * (-1.0, 1.0, 1.0), "right": right}
         for side in SIDES:
-            columns = {
-                f"{side}_time": iter([np.arange(frames) / FPS]),
-                f"{side}_landmarks": _repeated(hands[side], frames),
+            columns[f"{side}_time"] = iter([time])
+            columns[f"{side}_landmarks"] = _repeated(hands[side], frames)
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, pieces in columns.items():
+            first = next(pieces)
+            header = {
+                "descr": "<f8",
+                "fortran_order": False,
+                "shape": (frames, *first.shape[1:]),
             }
-            for name, pieces in columns.items():
-                first = next(pieces)
-                header = {
-                    "descr": "<f8",
-                    "fortran_order": False,
-                    "shape": (frames, *first.shape[1:]),
-                }
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    npy.write_array_header_1_0(member, header)
-                    member.write(first.tobytes())
-                    for piece in pieces:
-                        member.write(piece.tobytes())
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                npy.write_array_header_1_0(member, header)
+                member.write(first.tobytes())
+                for piece in pieces:
+                    member.write(piece.tobytes())
 
 
 def _repeated(rows: Array, count: int) -> Iterator[Array]:

@@ -19,6 +19,7 @@ from handmap_qp.hands import (
     FINGERS,
     OTHER_SIDE,
     Hand,
+    HumanLengths,
     Names,
     Side,
     Values,
@@ -41,6 +42,7 @@ from handmap_qp.mapping import (
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import (
     SIDES,
+    Layout,
     LongRecording,
     Source,
     check_recording,
@@ -50,6 +52,7 @@ from handmap_qp.trackers import (
     load_layout,
     read_hands,
     read_long_hands,
+    read_long_with_layout,
     read_with_layout,
 )
 
@@ -126,7 +129,7 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            return self._with_layout(self.layout, path, person)
+            return read_with_layout(path, *self._layout_options(self.layout, person))
         with _hinting_layout(path):
             recording = self._source(path, wanted).read()
         return self._checked(recording, path)
@@ -140,17 +143,19 @@ class InputArguments:
             HandmapError: As `read`.
         """
         if self.layout is not None:
-            return self._with_layout(self.layout, path, person)
+            options = self._layout_options(self.layout, person)
+            return read_long_with_layout(path, *options)
         with _hinting_layout(path):
             found = self._source(path, wanted).read_long()
         self._checked(in_memory(found), path)
         return found
 
-    def _with_layout(self, name: str, path: Path, person: Path | None) -> Recording:
-        """Read a recording whose values have another layout."""
+    def _layout_options(
+        self, name: str, person: Path | None
+    ) -> tuple[Layout, Side | None, HumanLengths | None, float | None]:
+        """Return how a recording is read whose values have another layout."""
         lengths = read_person(person).lengths if person else None
-        layout = load_layout(name)
-        return read_with_layout(path, layout, self.side, lengths, self.fps)
+        return load_layout(name), self.side, lengths, self.fps
 
     def _source(self, path: Path, wanted: Side | None) -> Source:
         """Find a recording in its file."""
@@ -170,7 +175,7 @@ class InputArguments:
     def side_of(self, path: Path) -> Side:
         """Return which hand a recording is of; of a file with both, the right one is taken."""
         if self.layout is not None:
-            return self.read(path, "right").side
+            return in_memory(self.read_long(path, "right")).side
         with _hinting_layout(path):
             return self._source(path, "right").entry.side
 
@@ -193,12 +198,9 @@ class InputArguments:
             for recording in hands.values():
                 check_recording(recording)
             return hands
-        expect(
-            len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}"
-        )
         return {
             side: replace(self, side=side).read(path, person=person)
-            for side, path in zip(SIDES, (paths[0], paths[-1]), strict=True)
+            for side, path in _one_of_each(paths)
         }
 
     def read_both_long(
@@ -209,9 +211,12 @@ class InputArguments:
         Raises:
             HandmapError: As `read_both`.
         """
-        if self.layout is not None:
-            return {**self.read_both(paths, person, mirror=mirror)}
         self._expect_both(mirror=mirror)
+        if self.layout is not None:
+            return {
+                side: replace(self, side=side).read_long(path, person=person)
+                for side, path in _one_of_each(paths)
+            }
         hands = read_long_hands(paths, fps=self.fps)
         for found in hands.values():
             check_recording(in_memory(found))
@@ -222,6 +227,12 @@ class InputArguments:
         for option, given in (("--side", self.side), ("--mirror", mirror)):
             if given:
                 raise InvalidInputError("has no effect on both hands", argument=option)
+
+
+def _one_of_each(paths: Sequence[Path]) -> list[tuple[Side, Path]]:
+    """Return the file of each hand, the left one's first; both may be in one."""
+    expect(len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}")
+    return [*zip(SIDES, (paths[0], paths[-1]), strict=True)]
 
 
 @contextmanager

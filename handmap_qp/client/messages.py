@@ -15,6 +15,7 @@ from handmap_core.client.messages import About as About
 from handmap_core.client.messages import Angles as Angles
 from handmap_core.client.messages import AnyReply as AnyReply
 from handmap_core.client.messages import AnyRequest as AnyRequest
+from handmap_core.client.messages import AssumedSpeed as AssumedSpeed
 from handmap_core.client.messages import Clear as Clear
 from handmap_core.client.messages import Close as Close
 from handmap_core.client.messages import Clutch as Clutch

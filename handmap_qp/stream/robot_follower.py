@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
-import numpy as np
-
 from handmap_core.se3 import Array
 from handmap_core.stream import robot_follower
 from handmap_core.stream.rejoin import RejoinKind
 from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.hands import Side
-from handmap_qp.human import HumanSample, Recording, sample_columns
+from handmap_qp.human import HumanSample, Recording, newest_at, sample_columns
 from handmap_qp.mapping import RobotMapper
 from .guard import BEHIND, StreamGuard
 
@@ -136,7 +134,7 @@ class _Newest:
             self._first += len(self._part)
             self._part = self._following
             self._following = next(self._parts, None)
-        return self._first + int(np.searchsorted(self._part.time, time, side)) - 1
+        return self._first + int(newest_at(self._part.time, time, side))
 
     def sample(self, index: int) -> HumanSample:
         """Return the newest sample, of the index that was found last."""

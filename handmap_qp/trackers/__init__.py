@@ -22,7 +22,13 @@ from .formats import (
     read_recording,
     write_recordings,
 )
-from .formats.archive import NpzFormat, array_shapes, read_archive, save_npz
+from .formats.archive import (
+    NpzFormat,
+    array_shapes,
+    read_archive,
+    read_rows,
+    save_npz,
+)
 from .formats.base import SIDES, first_of, reading
 from .formats.disk_columns import DiskColumn, write_npz
 from .formats.long import (
@@ -32,11 +38,13 @@ from .formats.long import (
     all_long,
     blocks_of,
     in_memory,
+    pieces_of,
 )
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
 from .layouts.files import layout_hint, read_with_layout
+from .layouts.long_files import read_long_with_layout
 from .layouts.markers import MarkerLayout
 from .layouts.points import PointLayout
 from .layouts.tables import load_layout, table_text
@@ -78,10 +86,13 @@ __all__ = [
     "layout_hint",
     "list_sources",
     "load_layout",
+    "pieces_of",
     "read_archive",
     "read_hands",
     "read_long_hands",
+    "read_long_with_layout",
     "read_recording",
+    "read_rows",
     "read_with_layout",
     "reading",
     "recording_facts",

@@ -20,7 +20,7 @@ from batch_cases import OPTIONS, batch, episodes, write_pieces
 
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.datasets.batch import Batch, plan_batch
-from handmap_qp.apps.datasets.episodes import is_intact, read_episode, run_group
+from handmap_qp.apps.datasets.episodes import is_intact, open_episode, run_group
 from handmap_qp.apps.datasets.manifest import open_manifest, read_manifests
 from handmap_qp.apps.datasets.sources import find_files
 from handmap_qp.cli import main
@@ -118,7 +118,7 @@ def test_a_damaged_episode_is_mapped_again(
 def test_every_flipped_bit_is_found(out: Path) -> None:
     line = read_manifests(out)["take0.npz::"]
     file = out / line.out
-    good, arrays = file.read_bytes(), read_episode(out, line)
+    good, (arrays,) = file.read_bytes(), open_episode(out, line).pieces()
     old = msgspec.structs.replace(line, sha256="")
     found = 0
     for place in random.Random(0).sample(range(len(good)), 200):
@@ -127,7 +127,7 @@ def test_every_flipped_bit_is_found(out: Path) -> None:
         # Without a digest, only what changes nothing that is used may pass: fields of the archive
         # that are not read, such as times of change.
         if is_intact(out, old):
-            read = read_episode(out, old)
+            (read,) = open_episode(out, old).pieces()
             assert all(np.array_equal(read[name], arrays[name]) for name in arrays)
         else:
             found += 1

@@ -25,6 +25,7 @@ from handmap_drive.driver import DriverError, Health
 from handmap_drive.gate import APPROACH
 from handmap_drive.recorder import Recorder
 
+from handmap_core.client.messages import Error
 from handmap_qp.apps.datasets.robot_log import read_robot_log
 from handmap_qp.client import Command
 from handmap_qp.errors import InvalidInputError
@@ -113,6 +114,37 @@ def drive() -> Drive:
     drive.go(3.0, command(a=0.2, b=0.5))
     np.testing.assert_allclose(drive.motors.q, [0.5, 0.2])
     return drive
+
+
+def test_a_session_that_refuses_is_told_rarely_and_warns_once(
+    drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = Mock()
+    client.measured.return_value = None
+    for i in range(3000):
+        # The session is shared for a second, not for 15 s, and then again.
+        is_denied = 100 <= i < 1600
+        refusal = (
+            Error(seq=i, code="denied", message="not shared") if is_denied else None
+        )
+        client.measured.return_value = refusal
+        drive.loop._tell(client, drive.now + 0.01 * i)
+        if i in (99, 1599):
+            told, client.measured.call_count = client.measured.call_count, 0
+            assert told == (100 if i == 99 else 2)
+    assert 900 <= client.measured.call_count <= 1400
+    assert capsys.readouterr().err.count("does not take where the joints are") == 1
+
+
+def test_other_refusals_do_not_end_what_is_told(
+    drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client = Mock()
+    client.measured.return_value = Error(seq=1, code="no_session", message="ended")
+    for i in range(100):
+        drive.loop._tell(client, drive.now + 0.01 * i)
+    assert client.measured.call_count == 100
+    assert not capsys.readouterr().err
 
 
 def test_joints_without_a_motor_are_where_they_are_commanded(drive: Drive) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_core.human.recording import mirrored
+from handmap_core.human.recording import mirrored, newest_at
 from handmap_qp import (
     InvalidInputError,
     Recording,
@@ -250,3 +250,13 @@ def test_a_part_has_all_columns_of_its_samples(samples: Any) -> None:
         )
     with pytest.raises(InvalidInputError, match="time"):
         recording.part(slice(None, None, -1))
+
+
+def test_the_newest_sample_is_the_last_one_not_after_an_instant() -> None:
+    time = np.array([1.0, 2.0, 4.0])
+    instants = np.array([0.5, 1.0, 1.5, 2.0, 3.9, 4.0, 9.0])
+    expected = [sum(time <= instant) - 1 for instant in instants]
+    assert newest_at(time, instants).tolist() == expected
+    before = [sum(time < instant) - 1 for instant in instants]
+    assert newest_at(time, instants, "left").tolist() == before
+    assert [newest_at(time, instant) for instant in instants] == expected

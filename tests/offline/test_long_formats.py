@@ -2,50 +2,37 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from long_cases import FORMATS, PIECE, played, shorten_pieces, traced_peak, without
 
-from handmap_qp import read_recording
 from handmap_qp.cli import main
 from handmap_qp.errors import RecordingError
 from handmap_qp.human import Recording, mirrored
 from handmap_qp.trackers import FORMATS as KINDS
 from handmap_qp.trackers import LongRecording, find_source, list_sources
 
-PIECE = 50
-FORMATS = "handmap_qp.trackers.formats"
 FILES = ("csv", "robomimic.hdf5", "egodex.hdf5")
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let recordings of seconds be long ones, of many pieces."""
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
-    for module in ("archive", "csv_files", "long"):
-        monkeypatch.setattr(f"{FORMATS}.{module}.PIECE", PIECE)
+    shorten_pieces(monkeypatch)
 
 
-def played(count: int = 330, *, has_more: bool = True) -> Recording:
+def unseen_at_times(count: int = 330, *, has_more: bool = True) -> Recording:
     """Return the hand of the demo, unseen for more than a piece, with wrist and confidence."""
-    demo = read_recording("demo", "right")
-    seen = demo.landmarks[demo.valid]
-    points = np.resize(np.concatenate([seen, seen[::-1]]), (count, 21, 3)).copy()
-    valid = np.ones(count, dtype=bool)
-    valid[:60] = False
-    valid[150:260] = False
-    points[~valid] = np.nan
-    time = 5.0 + np.arange(count) / 30.0
-    recording = Recording("played", time, points, valid, "right")
+    recording = without(played("played", count), slice(0, 60), slice(150, 260))
     if not has_more:
         return recording
     wrist = np.tile(np.eye(4), (count, 1, 1))
-    wrist[:, :3, 3] = points[:, 0]
-    wrist[~valid] = np.nan
-    shares = np.where(valid, np.linspace(0.5, 1.0, count), np.nan)
+    wrist[:, :3, 3] = recording.landmarks[:, 0]
+    wrist[~recording.valid] = np.nan
+    shares = np.where(recording.valid, np.linspace(0.5, 1.0, count), np.nan)
     return replace(recording, wrist=wrist, confidence=shares)
 
 
@@ -60,7 +47,7 @@ def written(folder: Path, form: str, *hands: Recording) -> Path:
 def as_whole(file: Path, side: str, monkeypatch: pytest.MonkeyPatch) -> Recording:
     """Read a recording as a whole."""
     with monkeypatch.context() as patch:
-        patch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+        patch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
         (source,) = (s for s in list_sources(file) if s.entry.side == side)
         found = source.read_long()
     assert isinstance(found, Recording)
@@ -72,7 +59,7 @@ def as_whole(file: Path, side: str, monkeypatch: pytest.MonkeyPatch) -> Recordin
 def test_pieces_are_the_recording_to_the_last_bit(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, has_more: bool
 ) -> None:
-    right = played(has_more=has_more)
+    right = unseen_at_times(has_more=has_more)
     file = written(tmp_path, form, mirrored(right), right)
     for source in list_sources(file):
         long = source.read_long()
@@ -99,10 +86,10 @@ def test_retarget_writes_the_same_file(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Its wrists do not turn with the palm, which the commands refuse.
-    file = written(tmp_path, form, played(has_more=False))
+    file = written(tmp_path, form, unseen_at_times(has_more=False))
     contents = []
     for shortest in (2, 10**6):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{shortest}.npz"
         words = ["--robot", "three_finger", "--out", str(out)]
         assert main(["retarget", str(file), *words]) == 0
@@ -113,11 +100,11 @@ def test_retarget_writes_the_same_file(
 def test_a_rate_is_given_to_pieces_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = written(tmp_path, "csv", played())
+    file = written(tmp_path, "csv", unseen_at_times())
     source = find_source(file, fps=25.0)
     long = source.read_long()
     assert isinstance(long, LongRecording)
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     whole = source.read_long()
     assert isinstance(whole, Recording)
     np.testing.assert_array_equal(long.overview.time, whole.time)
@@ -129,7 +116,7 @@ def test_a_rate_is_given_to_pieces_too(
 def test_a_fault_is_named_as_in_a_short_recording(
     fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = written(tmp_path, "csv", played())
+    file = written(tmp_path, "csv", unseen_at_times())
     lines = file.read_text().splitlines()
     header = lines[0].split(",")
     # The first sample of a piece: the one before is of another.
@@ -141,13 +128,13 @@ def test_a_fault_is_named_as_in_a_short_recording(
     file.write_text("\n".join(lines) + "\n")
     with pytest.raises(RecordingError) as found:
         find_source(file).read_long()
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     with pytest.raises(RecordingError) as expected:
         find_source(file).read_long()
     assert str(found.value) == str(expected.value)
     # Longer ones are not read as a whole, and say it themselves.
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
-    monkeypatch.setattr(f"{FORMATS}.OVERVIEW", 100)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 2)
+    monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 100)
     with pytest.raises(RecordingError, match=column.removesuffix("_pose_00")):
         find_source(file).read_long()
 
@@ -158,15 +145,13 @@ def test_memory_does_not_grow(
 ) -> None:
     monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 200)
     monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
-    peaks = []
+    peaks: list[int] = []
     for count in (500, 1500):
-        file = written(tmp_path, form, played(count))
+        file = written(tmp_path, form, unseen_at_times(count))
         (source,) = list_sources(file)
-        tracemalloc.start()
-        long = source.read_long()
-        assert isinstance(long, LongRecording)
-        assert sum(len(part) for part in long.parts()) == count
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        with traced_peak(peaks):
+            long = source.read_long()
+            assert isinstance(long, LongRecording)
+            assert sum(len(part) for part in long.parts()) == count
     # A sample has 500 bytes, and 2700 where each joint has a pose.
     assert peaks[1] - peaks[0] < 50 * 1000

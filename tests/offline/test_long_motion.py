@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import io
-import tracemalloc
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from long_cases import FORMATS, PIECE, played, shorten_pieces, traced_peak
 
 from handmap_qp import load_hand, read_recording
 from handmap_qp.apps.arguments import MappingArguments
@@ -33,31 +33,18 @@ from handmap_qp.trackers import (
     write_recordings,
 )
 
-PIECE = 50
 ROBOT = "three_finger"
-FORMATS = "handmap_qp.trackers.formats"
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let recordings of seconds be long ones, of many pieces."""
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
-    monkeypatch.setattr(f"{FORMATS}.archive.PIECE", PIECE)
-    monkeypatch.setattr("handmap_qp.apps.offline.long_summary.PIECE", PIECE)
-
-
-def repeated(count: int) -> Recording:
-    """Return the hand of the demo, played to and fro at 30 Hz."""
-    demo = read_recording("demo", "right")
-    seen = demo.landmarks[demo.valid]
-    landmarks = np.resize(np.concatenate([seen, seen[::-1]]), (count, 21, 3))
-    time = 5.0 + np.arange(count) / 30.0
-    return Recording("hours", time, landmarks, np.ones(count, dtype=bool), "right")
+    shorten_pieces(monkeypatch)
 
 
 def with_losses(count: int = 430) -> Recording:
     """Return a hand that is unseen at first and later on, for longer than a piece."""
-    recording = repeated(count)
+    recording = played("hours", count)
     valid = recording.valid.copy()
     valid[: 2 * PIECE + 7] = False
     valid[180 : 180 + 2 * PIECE] = False
@@ -158,7 +145,7 @@ def test_the_overview_of_hours_has_blocks_that_end_without_a_hand(
 ) -> None:
     monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 200)
     monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
-    long = opened(repeated(1003), tmp_path)
+    long = opened(played("hours", 1003), tmp_path)
     rows = np.concatenate([np.arange(1003)[block] for block in blocks_of(1003)])
     assert (len(rows), rows[0], rows[-1]) == (120, 0, 1002)
     whole = read_recording(tmp_path / "hours.npz")
@@ -170,7 +157,7 @@ def test_the_overview_of_hours_has_blocks_that_end_without_a_hand(
 def test_a_hand_that_is_never_followed_is_refused_in_the_same_words(
     tmp_path: Path,
 ) -> None:
-    hand = repeated(200)
+    hand = played("hours", 200)
     person = measure_person(hand)
     # The tracker does not trust one of its samples.
     recording = replace(hand, confidence=np.zeros(200))
@@ -210,7 +197,7 @@ def test_a_fault_is_named_as_in_a_short_recording(
         file.write_bytes(content)
     with pytest.raises(RecordingError) as found:
         find_source(file).read_long()
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 10**6)
+    monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
     with pytest.raises(RecordingError) as expected:
         find_source(file).read_long()
     assert str(found.value) == str(expected.value)
@@ -224,7 +211,7 @@ def test_the_commands_write_the_same_files(
     write_recordings([replace(with_losses(), wrist=None)], file)
     written = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{name}.npz"
         words = ("--robot", ROBOT, "--out", str(out), "--json")
         assert main(["retarget", str(file), *words]) == 0
@@ -245,21 +232,19 @@ def test_memory_does_not_grow_with_the_recording(
     monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 1000)
     monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 50)
     monkeypatch.setattr(f"{FORMATS}.disk_columns._AT_ONCE", 1 << 14)
-    person = measure_person(repeated(500))
+    person = measure_person(played("hours", 500))
     robot = load_hand(ROBOT)
-    peaks = []
+    peaks: list[int] = []
     for count in (2000, 6000):
-        write_recordings([repeated(count)], tmp_path / "hours.npz")
-        tracemalloc.start()
-        long = find_source(tmp_path / "hours.npz").read_long()
-        assert isinstance(long, LongRecording)
-        out = tmp_path / "out.npz"
-        with map_long([long], robot, person, MappingArguments(), out) as motion:
-            with out.open("wb") as stream:
-                write_npz(stream, motion.all_columns, is_compressed=False)
-            summarise_long(motion, motion.trajectory(*blocks_of(count)))
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        write_recordings([played("hours", count)], tmp_path / "hours.npz")
+        with traced_peak(peaks):
+            long = find_source(tmp_path / "hours.npz").read_long()
+            assert isinstance(long, LongRecording)
+            out = tmp_path / "out.npz"
+            with map_long([long], robot, person, MappingArguments(), out) as motion:
+                with out.open("wb") as stream:
+                    write_npz(stream, motion.all_columns, is_compressed=False)
+                summarise_long(motion, motion.trajectory(*blocks_of(count)))
     # Instants, flags and what is measured of them; a sample has 500 bytes, and its motion 1000.
     assert peaks[1] - peaks[0] < 100 * 4000
 
@@ -268,7 +253,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, out = tmp_path / "hours.npz", tmp_path / "out.npz"
-    write_recordings([repeated(300)], file)
+    write_recordings([played("hours", 300)], file)
     out.write_bytes(b"before")
     append = DiskColumn.append
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from long_cases import FORMATS, PIECE, played, shorten_pieces, traced_peak, without
 
-from handmap_qp import load_hand, read_recording
+from handmap_qp import load_hand
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.long_motion import LongMotion, map_long
 from handmap_qp.apps.offline.long_summary import summarise_long
@@ -32,37 +31,19 @@ from handmap_qp.trackers import (
     write_recordings,
 )
 
-PIECE = 50
 ROBOT = "g1"
-FORMATS = "handmap_qp.trackers.formats"
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let recordings of seconds be long ones, of many pieces."""
-    monkeypatch.setattr(f"{FORMATS}.SHORTEST", 2)
-    monkeypatch.setattr(f"{FORMATS}.archive.PIECE", PIECE)
-    monkeypatch.setattr(f"{FORMATS}.long.PIECE", PIECE)
-    monkeypatch.setattr("handmap_qp.apps.offline.long_summary.PIECE", PIECE)
+    shorten_pieces(monkeypatch)
 
 
 def hand(side: str, count: int, rate: float, start: float) -> Recording:
     """Return the hand of the demo, played to and fro."""
-    demo = read_recording("demo", "right")
-    seen = demo.landmarks[demo.valid]
-    points = np.resize(np.concatenate([seen, seen[::-1]]), (count, 21, 3))
-    time = start + np.arange(count) / rate
-    recording = Recording("right", time, points, np.ones(count, dtype=bool), "right")
+    recording = played("right", count, rate=rate, start=start)
     return recording if side == "right" else mirrored(recording)
-
-
-def without(recording: Recording, *gaps: slice) -> Recording:
-    """Return a recording in which the hand is not seen in some samples."""
-    valid = recording.valid.copy()
-    for gap in gaps:
-        valid[gap] = False
-    landmarks = np.where(valid[:, None, None], recording.landmarks, np.nan)
-    return replace(recording, landmarks=landmarks, valid=valid)
 
 
 def both_hands() -> list[Recording]:
@@ -169,7 +150,7 @@ def test_the_commands_write_the_same_files(
     write_recordings([left, right], file)
     found = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         out = tmp_path / f"{name}.npz"
         words = ("--robot", ROBOT, "--out", str(out), "--json")
         assert main(["retarget", str(file), *words]) == 0
@@ -229,22 +210,20 @@ def test_memory_does_not_grow_with_the_recordings(
     monkeypatch.setattr(f"{FORMATS}.disk_columns._AT_ONCE", 1 << 14)
     person = measure_person(hand("right", 300, 30.0, 5.0))
     robot = load_whole(ROBOT)
-    peaks = []
+    peaks: list[int] = []
     for count in (200, 600):
         hands = [hand(side, count, 30.0, 5.0) for side in ("left", "right")]
         files = written(hands, tmp_path)
         del hands
-        tracemalloc.start()
-        long = all_long([*read_long_hands(files).values()])
-        assert long is not None
-        out = tmp_path / "out.npz"
-        with (
-            map_long(long, robot, person, MappingArguments(), out) as found,
-            out.open("wb") as stream,
-        ):
-            write_npz(stream, found.all_columns, is_compressed=False)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        with traced_peak(peaks):
+            long = all_long([*read_long_hands(files).values()])
+            assert long is not None
+            out = tmp_path / "out.npz"
+            with (
+                map_long(long, robot, person, MappingArguments(), out) as found,
+                out.open("wb") as stream,
+            ):
+                write_npz(stream, found.all_columns, is_compressed=False)
     # Instants and flags; a sample of both hands has 1000 bytes, and the robot's motion 4000.
     assert peaks[1] - peaks[0] < 200 * 400
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from long_cases import FORMATS, played, shorten_pieces, traced_peak, without
 
-from handmap_qp import read_recording
 from handmap_qp.apps.offline import look_ahead as module
 from handmap_qp.apps.offline.look_ahead import look_ahead, look_ahead_parts
 from handmap_qp.cli import main
@@ -18,26 +17,12 @@ from handmap_qp.human import Recording
 from handmap_qp.trackers import write_recordings
 from handmap_qp.trackers.formats.long import part_of
 
-FORMATS = "handmap_qp.trackers.formats"
 
-
-def played(count: int, rate: float = 60.0) -> Recording:
+def noisy(count: int, rate: float = 60.0) -> Recording:
     """Return the hand of the demo with noise, played to and fro."""
-    demo = read_recording("demo", "right")
-    seen = demo.landmarks[demo.valid]
-    points = np.resize(np.concatenate([seen, seen[::-1]]), (count, 21, 3))
-    points = points + np.random.default_rng(5).normal(0.0, 1e-3, points.shape)
-    valid = np.ones(count, dtype=bool)
-    return Recording("played", np.arange(count) / rate, points, valid, "right")
-
-
-def with_gaps(recording: Recording, *gaps: tuple[int, int]) -> Recording:
-    """Return a recording in which the hand is not seen in some samples."""
-    valid = recording.valid.copy()
-    for start, stop in gaps:
-        valid[start:stop] = False
-    landmarks = np.where(valid[:, None, None], recording.landmarks, np.nan)
-    return replace(recording, landmarks=landmarks, valid=valid)
+    recording = played("played", count, rate=rate, start=0.0)
+    noise = np.random.default_rng(5).normal(0.0, 1e-3, recording.landmarks.shape)
+    return replace(recording, landmarks=recording.landmarks + noise)
 
 
 def split(recording: Recording, size: int) -> Iterator[Recording]:
@@ -50,7 +35,10 @@ def split(recording: Recording, size: int) -> Iterator[Recording]:
         start = stop
 
 
-GAPS = ((0, 7), (300, 320), (500, 560), (561, 600), (1000, 1029), (1390, 1400))
+GAPS = [
+    slice(*gap)
+    for gap in ((0, 7), (300, 320), (500, 560), (561, 600), (1000, 1029), (1390, 1400))
+]
 """At 60 Hz: at the start, short, long with a sample between, just short enough, at the end."""
 
 
@@ -59,7 +47,7 @@ def test_parts_of_any_size_give_the_same_numbers(
     size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_BLOCK", 200)
-    recording = with_gaps(played(1400), *GAPS)
+    recording = without(noisy(1400), *GAPS)
     if size == 2:
         recording = recording.part(slice(0, 620))
     whole = look_ahead(recording)
@@ -71,7 +59,7 @@ def test_parts_of_any_size_give_the_same_numbers(
 
 
 def test_blocks_are_smoothed_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = with_gaps(played(1400), *GAPS)
+    recording = without(noisy(1400), *GAPS)
     monkeypatch.setattr(module, "_BLOCK", 10**6)
     whole = look_ahead(recording)
     # The sample alone between two gaps is too little to smooth.
@@ -93,17 +81,15 @@ def test_memory_does_not_grow(
     monkeypatch: pytest.MonkeyPatch, *, is_seen: bool
 ) -> None:
     monkeypatch.setattr(module, "_BLOCK", 256)
-    peaks = []
+    peaks: list[int] = []
     for count in (2000, 8000):
-        recording = played(count)
+        recording = noisy(count)
         if not is_seen:
-            recording = with_gaps(recording, (100, count))
+            recording = without(recording, slice(100, count))
         kept = 0
-        tracemalloc.start()
-        for part in look_ahead_parts(split(recording, 100)):
-            kept += len(part)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+        with traced_peak(peaks):
+            for part in look_ahead_parts(split(recording, 100)):
+                kept += len(part)
         assert kept == count
     # A sample has 500 bytes.
     assert peaks[1] - peaks[0] < 50 * 6000
@@ -112,12 +98,12 @@ def test_memory_does_not_grow(
 def test_batch_writes_the_same_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"{FORMATS}.archive.PIECE", 50)
+    shorten_pieces(monkeypatch)
     file = tmp_path / "hours.npz"
-    write_recordings([with_gaps(played(420), (100, 110), (200, 300))], file)
+    write_recordings([without(noisy(420), slice(100, 110), slice(200, 300))], file)
     found = []
     for name, shortest in (("long", 2), ("short", 10**6)):
-        monkeypatch.setattr(f"{FORMATS}.SHORTEST", shortest)
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
         folder = tmp_path / name
         words = ["--robot", "three_finger", "--out", str(folder), "--workers", "0"]
         assert main(["batch", str(file), *words, "--look-ahead"]) == 0

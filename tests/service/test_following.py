@@ -247,9 +247,14 @@ def test_a_stranger_does_not_tell_where_a_robot_is() -> None:
     ):
         stranger.watch("lab")
         q = np.array(tracker.step(q=human_q(), wrist=HERE).q)
+        refusals = []
         for _ in range(20):
-            stranger.measured(q + 0.5)
+            refusals.append(stranger.measured(q + 0.5))
             command = tracker.step(q=human_q(), wrist=HERE)
+        # The answer is to an earlier call.
+        assert refusals[0] is None
+        refusal = wait_until(lambda: stranger.measured(q))
+        assert (refusal.code, refusal.field) == ("denied", "name")
         assert command.status != "not_following"
         assert command.following_error == ()
 

@@ -22,7 +22,7 @@ from .calls import (
     request_fields,
     sample_request,
 )
-from .messages import Lengths, Opened, Side
+from .messages import Error, Lengths, Opened, Side
 
 
 class AsyncClient(Calls):
@@ -350,13 +350,17 @@ class AsyncClient(Calls):
         """
         return await self._run(self._watch(name))
 
-    async def measured(self, q: npt.ArrayLike) -> None:
+    async def measured(self, q: npt.ArrayLike) -> Error | None:
         """Say where the joints of a watched session's robot are, without waiting for an answer.
 
         The client that sends the samples of a session gives `measured_q` with its samples instead.
 
         Args:
             q: Joint angles that a driver reads [rad], in the order of `joint_names`.
+
+        Returns:
+            Why the server refused an earlier call, with the code `denied` if the session is of
+            another client and not shared; None if no refusal has arrived.
         """
         return await self._run(self._tell({"type": "measured", "measured_q": q}))
 

@@ -22,7 +22,7 @@ from .calls import (
     request_fields,
     sample_request,
 )
-from .messages import Lengths, Opened, Side
+from .messages import Error, Lengths, Opened, Side
 
 
 class Client(Calls):
@@ -364,13 +364,17 @@ class Client(Calls):
         """
         return self._run(self._watch(name))
 
-    def measured(self, q: npt.ArrayLike) -> None:
+    def measured(self, q: npt.ArrayLike) -> Error | None:
         """Say where the joints of a watched session's robot are, without waiting for an answer.
 
         The client that sends the samples of a session gives `measured_q` with its samples instead.
 
         Args:
             q: Joint angles that a driver reads [rad], in the order of `joint_names`.
+
+        Returns:
+            Why the server refused an earlier call, with the code `denied` if the session is of
+            another client and not shared; None if no refusal has arrived.
         """
         return self._run(self._tell({"type": "measured", "measured_q": q}))
 

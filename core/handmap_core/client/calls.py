@@ -222,10 +222,11 @@ class Calls:
             await self._reopen(monotonic() + self.timeout)
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
-    async def _tell(self, request: Request) -> None:
-        """Send a request whose answer nobody reads."""
-        await self._read("samples", 0.0)
+    async def _tell(self, request: Request) -> Error | None:
+        """Send a request without waiting for its answer; return the refusal of an earlier one."""
+        reply = await self._read("samples", 0.0)
         await self._io("samples", _ENCODE(self._numbered(request)), 0.0)
+        return reply if isinstance(reply, Error) else None
 
     async def _latest(self, timeout: float) -> Command | None:
         if "stream" not in self._sockets:

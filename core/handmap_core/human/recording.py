@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -271,6 +271,19 @@ def as_flags(valid: Any, count: int) -> Array:
     is_flag = np.isin(flags, (0.0, 1.0)).all()
     expect(is_flag, "valid", "truth values, or 0 and 1", value=valid)
     return flags.astype(bool)
+
+
+def newest_at(
+    time: Array, instants: Array | float, side: Literal["left", "right"] = "right"
+) -> Array:
+    """Return the index of the newest sample at each instant; -1 where there is none yet.
+
+    Args:
+        time: Instants of the samples, strictly increasing [s], shape (T,).
+        instants: Instants in any order [s], shape (N,), or one of them.
+        side: Whether a sample at an instant counts there: `right` if it does.
+    """
+    return np.searchsorted(time, instants, side) - 1
 
 
 def finite_samples(values: Array) -> Array:

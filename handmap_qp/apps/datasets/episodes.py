@@ -5,12 +5,13 @@ process, in any order.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from time import process_time
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -32,7 +33,7 @@ from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
-from handmap_qp.human import Person, Recording, tip_gaps
+from handmap_qp.human import Person, Recording, newest_at, tip_gaps
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
@@ -46,6 +47,7 @@ from handmap_qp.trackers import (
     in_memory,
     read_archive,
     read_long_hands,
+    read_rows,
     reading,
     recording_facts,
     write_npz,
@@ -238,9 +240,10 @@ def measure_episode(
     """
     found = []
     for recording in recordings:
+        newest = newest_at(recording.time, trajectory.time)
         found.append(
             core.measure_episode(
-                _samples_at(recording, trajectory.time),
+                _samples_at(recording, trajectory.time, newest),
                 trajectory.valid,
                 trajectory.point_error,
                 trajectory.at_limit,
@@ -249,7 +252,7 @@ def measure_episode(
             )
         )
         if meter := _meter(robot.by_side[recording.side]):
-            found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
+            found[-1] |= _surfaces(recording, newest, trajectory, contact_gap, meter)
     rounded = {}
     for each in MEASURES:
         worse = np.fmax if each.better == "low" else np.fmin
@@ -258,15 +261,19 @@ def measure_episode(
     return rounded
 
 
-def _samples_at(recording: Recording, time: Array) -> core.Samples:
+def _samples_at(recording: Recording, time: Array, newest: Array) -> core.Samples:
     """Return the samples of a recording, one for each of T instants.
 
     Hands of different rates have different numbers of samples; the newest one at each instant
     counts, as it does where they are mapped.
+
+    Args:
+        recording: The recording.
+        time: The instants [s], shape (T,).
+        newest: Index of the newest sample at each of them, shape (T,).
     """
     if len(recording) == len(time):
         return core.Samples(recording.time, recording.landmarks, recording.valid)
-    newest = np.searchsorted(recording.time, time, "right") - 1
     is_known = newest >= 0
     newest = np.maximum(newest, 0)
     valid = recording.valid[newest] & is_known
@@ -274,11 +281,14 @@ def _samples_at(recording: Recording, time: Array) -> core.Samples:
 
 
 def _surfaces(
-    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
+    recording: Recording,
+    newest: Array,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter,
 ) -> Values:
     """Measure pinches and self-penetration in some of the samples."""
     count = len(trajectory.time)
-    newest = np.searchsorted(recording.time, trajectory.time, "right") - 1
     pinching = tip_gaps(recording.landmarks)[newest] < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))
@@ -334,55 +344,67 @@ def save_long_episode(file: Path, columns: Mapping[str, Array | DiskColumn]) -> 
         return file_digest(stream, "sha256").hexdigest()
 
 
-def read_episode(folder: Path, line: Line) -> Arrays:
-    """Verify an episode, and read what a data set for training needs of it.
+class StoredEpisode(NamedTuple):
+    """An episode on the disk, verified, whose columns are read by pieces.
+
+    Attributes:
+        file: Its file.
+        time: Its instants [s], shape (T,).
+    """
+
+    file: Path
+    time: Array
+
+    def pieces(self) -> Iterator[Arrays]:
+        """Read it from the start.
+
+        Yields:
+            `time`, `q`, `wrist` and `valid` of the next samples; the last two have one more axis
+            for the hands of a robot with two.
+
+        Raises:
+            RecordingError: If the file was damaged after it had been verified.
+        """
+        for rows in read_rows(self.file, _COLUMNS, len(self.time)):
+            yield dict(zip(_COLUMNS, rows, strict=True))
+
+
+def open_episode(folder: Path, line: Line) -> StoredEpisode:
+    """Verify an episode, to read what a data set for training needs of it.
 
     Args:
         folder: Folder of the batch.
         line: The episode's line in the manifest. Where it has no digest, as up to version 0.2, all
             arrays are read, because the archive has a checksum of each.
 
-    Returns:
-        `time`, `q`, `wrist` and `valid`, each with `line.frames` rows; the last two have one more
-        axis for the hands of a robot with two.
-
     Raises:
         RecordingError: If the file is missing, or is not what was written.
     """
     file = _verified(folder, line)
-    arrays = read_archive(file, _COLUMNS if line.sha256 else None)
-    _expect_frames(file, line, {name: array.shape for name, array in arrays.items()})
-    return {name: arrays[name] for name in _COLUMNS}
+    return StoredEpisode(file, read_archive(file, {"time"})["time"])
 
 
 def _verified(folder: Path, line: Line) -> Path:
-    """Return the file of an episode, if it has the digest of what was written."""
+    """Return the file of an episode, if it is what was written; see `open_episode`."""
     file = folder / line.out
     with reading(file), file.open("rb") as stream:
         is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
     if not is_same:
         raise RecordingError("is not what was written: its digest differs", file=file)
-    return file
-
-
-def _expect_frames(
-    file: Path, line: Line, shapes: Mapping[str, tuple[int, ...]]
-) -> None:
-    """Reject an episode whose columns have another number of rows than its line says."""
+    if not line.sha256:
+        read_archive(file)
+    # The digest is that of all numbers: they need not be read.
+    shapes = array_shapes(file, {*_COLUMNS})
     for name in _COLUMNS:
         if shapes.get(name, ())[:1] != (line.frames,):
             raise RecordingError("is missing or torn", file=file, array=name)
+    return file
 
 
 def is_intact(folder: Path, line: Line) -> bool:
-    """Return whether an episode is what was written; see `read_episode`."""
+    """Return whether an episode is what was written; see `open_episode`."""
     try:
-        if line.sha256:
-            # The digest is that of all numbers: they need not be read again.
-            file = _verified(folder, line)
-            _expect_frames(file, line, array_shapes(file, {*_COLUMNS}))
-        else:
-            read_episode(folder, line)
+        _verified(folder, line)
     except RecordingError:
         return False
     return True

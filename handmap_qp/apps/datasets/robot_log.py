@@ -17,6 +17,7 @@ from handmap_core.errors import RecordingError, expect
 from handmap_core.se3 import Array, Arrays, as_floats, frozen
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.hands import Names
+from handmap_qp.human import newest_at
 from handmap_qp.trackers import read_archive, reading
 from handmap_qp.trackers.formats.archive import member_names, save_npz
 from handmap_qp.trackers.formats.mcap import (
@@ -25,7 +26,7 @@ from handmap_qp.trackers.formats.mcap import (
     is_bag_folder,
     read_joint_states,
 )
-from .training_sets import Columns, Episode, write_lerobot, write_robomimic
+from .training_sets import Columns, Episode, Frames, write_lerobot, write_robomimic
 
 _OWN = {"time", "joint_names", "q", "action"}
 """Arrays that every log has."""
@@ -118,13 +119,9 @@ class RobotLog:
                 _resampled(instants, time, column[own])
                 for column in (self.q, self.action, self.effort[:, known])
             )
+            frames = Frames(state, action, np.zeros((count, 0), dtype=bool), effort)
             yield Episode(
-                sources=self.name,
-                task=self.task or "teleoperation",
-                state=state,
-                action=action,
-                valid=np.zeros((count, 0), dtype=bool),
-                effort=effort,
+                self.name, self.task or "teleoperation", count, parts=[frames]
             )
 
 
@@ -218,7 +215,7 @@ def _of_bag(path: Path) -> RobotLog:
         raise RecordingError(problem, file=path)
     columns = [states.names.index(name) for name in names]
     # The newest command at each instant; before the first one, the robot had no command.
-    newest = np.searchsorted(commands.time, states.time, "right") - 1
+    newest = newest_at(commands.time, states.time)
     led = newest >= 0
     return RobotLog(
         name=path.stem,

@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_core.se3 import Array, Arrays
+from handmap_core.se3 import Array
 from handmap_qp.hands import Names
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
@@ -33,24 +33,36 @@ class Columns(NamedTuple):
     effort: Names = ()
 
 
-class Episode(NamedTuple):
-    """An episode of a data set.
+class Frames(NamedTuple):
+    """Consecutive frames of an episode.
 
     Attributes:
-        sources: What it was made of.
-        task: What is done, in words.
         state: States of the robot, shape (N, n).
         action: What it is told to do in each of them, shape (N, n).
         valid: Whether each hand was seen, shape (N, number of hands).
         effort: Efforts of joints in each state [N m or N], shape (N, e).
     """
 
-    sources: str
-    task: str
     state: Array
     action: Array
     valid: Array
     effort: Array
+
+
+class Episode(NamedTuple):
+    """An episode of a data set, whose frames come by parts: one of hours may not fit into memory.
+
+    Attributes:
+        sources: What it was made of.
+        task: What is done, in words.
+        count: Number of its frames.
+        parts: Its frames in the order of time; read once.
+    """
+
+    sources: str
+    task: str
+    count: int
+    parts: Iterable[Frames]
 
 
 def write_lerobot(
@@ -93,10 +105,14 @@ def write_lerobot(
         argument=argument,
         overwrite=overwrite,
     ) as writer:
-        for sources, task, *arrays in episodes:
-            by_name = dict(zip(features, arrays, strict=True))
-            frames = {name: by_name[name] for name in known}
-            writer.add(frames, task, {"source": sources})
+        for episode in episodes:
+            about = {"source": episode.sources}
+            parts = (
+                {name: array for name, array in by_name.items() if name in known}
+                for frames in episode.parts
+                for by_name in [dict(zip(features, frames, strict=True))]
+            )
+            writer.add_parts(parts, episode.count, episode.task, about)
 
 
 def write_robomimic(
@@ -130,35 +146,59 @@ def write_robomimic(
         data = file.create_group("data")
         data.attrs["env_args"] = json.dumps(env)
         for i, episode in enumerate(episodes):
-            check_room(file, 5 * episode.state.nbytes)
             demo = data.create_group(f"demo_{i}")
-            count = len(episode.state)
+            count = episode.count
             demo.attrs.update(
                 num_samples=count, source=episode.sources, task=episode.task
             )
-            for name, column in _robomimic_columns(episode, columns).items():
-                demo[name] = column
+            done = 0
+            for frames in episode.parts:
+                if not done:
+                    state = frames.state
+                    check_room(file, 5 * count * state.itemsize * state.shape[1])
+                _write_frames(demo, frames, columns, done, count)
+                done += len(frames.state)
+            assert done == count
             total += count
         data.attrs["total"] = total
 
 
-def _robomimic_columns(episode: Episode, columns: Columns) -> Arrays:
-    """Return the columns of an episode under the names of robomimic."""
-    count = len(episode.state)
+def _write_frames(
+    demo: Any, frames: Frames, columns: Columns, start: int, count: int
+) -> None:
+    """Write consecutive frames of an episode under the names of robomimic.
+
+    Args:
+        demo: The `h5py.Group` of the episode.
+        frames: The frames.
+        columns: Names of the numbers in their columns.
+        start: Number of frames that are written already.
+        count: Number of frames of the episode.
+    """
+    stop = start + len(frames.state)
     found = {
-        "actions": episode.action,
-        "states": episode.state,
-        "rewards": np.zeros(count),
-        "dones": (np.arange(count) == count - 1).astype(np.int64),
-        "obs/state": episode.state,
+        "actions": frames.action,
+        "states": frames.state,
+        "rewards": np.zeros(stop - start),
+        "dones": (np.arange(start, stop) == count - 1).astype(np.int64),
+        "obs/state": frames.state,
     }
     if columns.valid:
-        found["obs/valid"] = episode.valid
-    found["next_obs/state"] = next_frames(episode.state)
+        found["obs/valid"] = frames.valid
+    followed = {"next_obs/state": frames.state}
     if columns.effort:
-        found["obs/effort"] = episode.effort
-        found["next_obs/effort"] = next_frames(episode.effort)
-    return found
+        found["obs/effort"] = frames.effort
+        followed["next_obs/effort"] = frames.effort
+    for name, rows in (found | followed).items():
+        if not start:
+            demo.create_dataset(name, (count, *rows.shape[1:]), rows.dtype)
+    for name, rows in found.items():
+        demo[name][start:stop] = rows
+    for name, rows in followed.items():
+        # Each frame is the next one of that before it, and the last one is its own.
+        if start:
+            demo[name][start - 1] = rows[0]
+        demo[name][start:stop] = next_frames(rows)
 
 
 def next_frames(frames: Array) -> Array:

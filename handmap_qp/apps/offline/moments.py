@@ -17,7 +17,7 @@ from handmap_qp.apps.drawing import (
     moments_sheet,
     save_picture,
 )
-from handmap_qp.human import PALM, Recording, measure_hand
+from handmap_qp.human import PALM, Recording, measure_hand, newest_at
 from handmap_qp.mapping import AlignedOptions, rotation_of
 from .trajectory import Trajectory
 
@@ -120,7 +120,7 @@ def find_moments(motions: Sequence[MappedMotion], time: Array, count: int) -> Ar
 
 def newest(of: Array, time: Array) -> Array:
     """Return the newest of some increasing instants at each time, the first before them, (T,)."""
-    return np.maximum(np.searchsorted(of, time, "right") - 1, 0)
+    return np.maximum(newest_at(of, time), 0)
 
 
 def _in_palm(recording: Recording) -> Array:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_core.errors import (
-    HandmapError,
     InvalidInputError,
     RecordingError,
     expect,
@@ -30,7 +29,7 @@ from .base import (
 from .csv_files import CsvFormat
 from .hdf5 import EgoDexFormat, RobomimicFormat
 from .lerobot import LeRobotFormat
-from .long import OVERVIEW, SHORTEST, LongRecording
+from .long import LongRecording, open_or_read
 from .mano import ManoFormat
 from .mcap import McapFormat
 from .objects import ArcticFormat, DexYcbFormat, GrabFormat, Hot3dFormat
@@ -110,17 +109,12 @@ class Source(NamedTuple):
         Raises:
             RecordingError: As `read`.
         """
-        if self.entry.samples < SHORTEST:
-            return self.read()
-        try:
+
+        def opened() -> LongRecording | None:
             with reading(self.path):
-                long = self.format.open_long(self.path, self.entry)
-        except HandmapError:
-            if self.entry.samples > OVERVIEW:
-                raise
-            # Where it fits, say what is wrong in the words of `read`.
-            return self.read()
-        return long or self.read()
+                return self.format.open_long(self.path, self.entry)
+
+        return open_or_read(self.entry.samples, opened, self.read)
 
 
 def list_sources(

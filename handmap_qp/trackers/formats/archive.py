@@ -42,7 +42,7 @@ from .base import (
     time_in,
 )
 from .disk_columns import DiskColumn, write_npz
-from .long import PIECE, LongRecording
+from .long import LongRecording, pieces_of
 from .pieces import recording_parts
 
 LARGEST_ARCHIVE = 1 << 30
@@ -64,8 +64,14 @@ _STREAMED = ("wrist", "wrist_pose", "object_pose")
 _EXPECTED = f"landmarks of one hand, shape (T, {LANDMARK_COUNT}, 3)"
 
 
-class _Header(NamedTuple):
-    """What an array is, known without reading it."""
+class ArrayHeader(NamedTuple):
+    """What an array is, known without reading it.
+
+    Attributes:
+        shape: Its shape.
+        dtype: Type of its numbers.
+        is_by_rows: Whether its rows follow each other in the file.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -135,7 +141,7 @@ class NpzFormat(RecordingFormat):
         prefix = _prefix(entry)
         array = _landmark_array(member_names(path), prefix)
         members = {"landmarks": array} | {name: prefix + name for name in _STREAMED}
-        headers = _read_headers(path, set(members.values()))
+        headers = read_headers(path, set(members.values()))
         members = {name: m for name, m in members.items() if m in headers}
         is_plain = all(
             header.is_by_rows
@@ -282,20 +288,20 @@ def _needed_landmark_array(names: set[str]) -> str:
 
 def _samples_in(path: Path, array: str) -> int:
     """Return how many samples an array of landmarks of an archive has, without reading them."""
-    headers = _read_headers(path, {array})
+    headers = read_headers(path, {array})
     return _count_samples(headers[array], array)
 
 
-def _read_header(stream: IO[bytes]) -> _Header:
+def _read_header(stream: IO[bytes]) -> ArrayHeader:
     """Read what an array is, and leave its numbers unread."""
     version = npy.read_magic(stream)
     is_first = version == (1, 0)
     read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
     shape, is_fortran, dtype = read(stream)
-    return _Header(shape, dtype, not is_fortran or len(shape) < 2)
+    return ArrayHeader(shape, dtype, not is_fortran or len(shape) < 2)
 
 
-def _count_samples(header: _Header, name: str = "") -> int:
+def _count_samples(header: ArrayHeader, name: str = "") -> int:
     """Return how many samples an array of landmarks has.
 
     Raises:
@@ -318,11 +324,23 @@ def _count_samples(header: _Header, name: str = "") -> int:
     raise InvalidInputError(argument=name, expected=_EXPECTED, got=got, advice=advice)
 
 
-def _read_headers(file: Path, names: set[str]) -> dict[str, _Header]:
-    """Read what arrays of an archive are, however large they are."""
+def read_headers(
+    file: Path, names: Container[str] | None = None
+) -> dict[str, ArrayHeader]:
+    """Read what arrays of an archive are, however large they are.
+
+    Args:
+        file: The archive.
+        names: Names of the arrays; all if omitted. Those that the file lacks are left out.
+
+    Raises:
+        RecordingError: If the file cannot be read, or is not an archive of plain arrays.
+    """
     with _opened(file) as (archive, members):
         headers = {}
-        for name in names & members.keys():
+        for name in members:
+            if names is not None and name not in names:
+                continue
             with _reading_array(file, name), archive.open(members[name]) as stream:
                 headers[name] = _read_header(stream)
         return headers
@@ -334,7 +352,7 @@ def array_shapes(file: Path, names: set[str]) -> dict[str, tuple[int, ...]]:
     Raises:
         RecordingError: If the file cannot be read, or is not an archive of plain arrays.
     """
-    return {name: header.shape for name, header in _read_headers(file, names).items()}
+    return {name: header.shape for name, header in read_headers(file, names).items()}
 
 
 @contextmanager
@@ -386,6 +404,38 @@ def read_archive(
         return arrays
 
 
+def read_rows(
+    file: Path, names: Sequence[str], count: int
+) -> Iterator[tuple[Array, ...]]:
+    """Read arrays of an `.npz` file side by side, `PIECE` rows at once.
+
+    Args:
+        file: The file.
+        names: Names of the arrays, which are stored by rows.
+        count: Number of their rows.
+
+    Yields:
+        The next rows of each array.
+
+    Raises:
+        RecordingError: If the file is damaged. `array` names the member at fault.
+    """
+    with _opened(file) as (archive, members), ExitStack() as opened:
+        streams = [opened.enter_context(archive.open(members[n])) for n in names]
+        headers = []
+        for name, stream in zip(names, streams, strict=True):
+            with _reading_array(file, name):
+                headers.append(_read_header(stream))
+        for samples in pieces_of(count):
+            pieces = []
+            for name, stream, header in zip(names, streams, headers, strict=True):
+                shape = (samples.stop - samples.start, *header.shape[1:])
+                with _reading_array(file, name):
+                    data = stream.read(header.dtype.itemsize * math.prod(shape))
+                    pieces.append(np.frombuffer(data, header.dtype).reshape(shape))
+            yield tuple(pieces)
+
+
 class _LongArchive:
     """One hand of an archive, whose large arrays are read by pieces.
 
@@ -425,25 +475,10 @@ class _LongArchive:
 
     def _is_known(self, member: str) -> bool:
         """Tell whether an array has a number that is not NaN."""
-        return any(not np.isnan(rows).all() for rows in self._rows([member], PIECE))
-
-    def _rows(self, names: Sequence[str], size: int) -> Iterator[tuple[Array, ...]]:
-        """Read arrays side by side, so many rows at once."""
-        with _opened(self.path) as (archive, members), ExitStack() as opened:
-            streams = [opened.enter_context(archive.open(members[n])) for n in names]
-            headers = []
-            for name, stream in zip(names, streams, strict=True):
-                with _reading_array(self.path, name):
-                    headers.append(_read_header(stream))
-            for start in range(0, self.count, size):
-                count = min(size, self.count - start)
-                pieces = []
-                for name, stream, header in zip(names, streams, headers, strict=True):
-                    shape = (count, *header.shape[1:])
-                    with _reading_array(self.path, name):
-                        data = stream.read(header.dtype.itemsize * math.prod(shape))
-                        pieces.append(np.frombuffer(data, header.dtype).reshape(shape))
-                yield tuple(pieces)
+        return any(
+            not np.isnan(rows).all()
+            for (rows,) in read_rows(self.path, [member], self.count)
+        )
 
     def parts(self) -> Iterator[Recording]:
         """Read the hand from the first sample on.
@@ -466,7 +501,7 @@ class _LongArchive:
         """Read the columns of `PIECE` samples at once."""
         names = tuple(self._members)
         start = 0
-        for pieces in self._rows([*self._members.values()], PIECE):
+        for pieces in read_rows(self.path, [*self._members.values()], self.count):
             stop = start + len(pieces[0])
             columns: Values = {
                 name: values[start:stop] for name, values in self._columns.items()

@@ -11,8 +11,8 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
+from .disk_columns import DiskColumn
 
 VERSION = "v3.0"
 _SAME_RATE = 1.25
@@ -60,6 +61,12 @@ class Feature(NamedTuple):
     def size(self) -> int:
         """How many numbers a frame has."""
         return max(1, len(self.names))
+
+    def nbytes(self, count: int) -> int:
+        """Return what so many frames take in memory; flags are packed [bytes]."""
+        numbers = count * self.size
+        bits = 1 if self.dtype == "bool" else 8 * np.dtype(self.dtype).itemsize
+        return -(-bits * numbers // 8)
 
 
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
@@ -181,7 +188,8 @@ def writing_set(
 class LeRobotWriter:
     """Writes a data set episode by episode; memory does not grow with their number.
 
-    See `writing_set`.
+    Nor does it grow with the length of an episode that is added by parts, but for the numbers of
+    one joint at a time, whose quantiles are taken of all frames. See `writing_set`.
     """
 
     def __init__(
@@ -211,30 +219,59 @@ class LeRobotWriter:
         Raises:
             OSError: If the disk is full.
         """
-        frames = np.arange(len(next(iter(columns.values()))))
+        self.add_parts([columns], len(next(iter(columns.values()))), task, about)
+
+    def add_parts(
+        self,
+        parts: Iterable[Arrays],
+        count: int,
+        task: str,
+        about: Mapping[str, Any],
+    ) -> None:
+        """Add an episode by parts, each of which is a row group.
+
+        Args:
+            parts: Columns of consecutive frames, as of `add`; taken one by one.
+            count: Number of frames of all parts, T.
+            task: As of `add`.
+            about: As of `add`.
+
+        Raises:
+            OSError: If the disk is full.
+        """
         start = self._frame_count
         episode = self._episode_count
         number = self._tasks.setdefault(task, len(self._tasks))
-        given = {
-            **columns,
-            "timestamp": frames / self._fps,
-            "frame_index": frames,
-            "episode_index": np.full_like(frames, episode),
-            "index": start + frames,
-            "task_index": np.full_like(frames, number),
-        }
-        values = {
-            name: np.asarray(given[name], dtype=feature.dtype)
-            for name, feature in self._features.items()
-        }
-        self._write_frames(values)
-        self._frame_count += len(frames)
+        self._begin_episode(count)
+        done = 0
+        with closing(_EpisodeValues(self._folder, count)) as written:
+            for columns in parts:
+                size = len(next(iter(columns.values())))
+                frames = np.arange(done, done + size)
+                given = {
+                    **columns,
+                    "timestamp": frames / self._fps,
+                    "frame_index": frames,
+                    "episode_index": np.full_like(frames, episode),
+                    "index": start + frames,
+                    "task_index": np.full_like(frames, number),
+                }
+                values = {
+                    name: np.asarray(given[name], dtype=feature.dtype)
+                    for name, feature in self._features.items()
+                }
+                self._write_frames(values)
+                written.add(values)
+                done += size
+            assert done == count
+            stats = written.stats()
+        self._frame_count += count
         self._episode_count += 1
         chunk, file = divmod(self._file_index, CHUNK_FILES)
         row = {
             "episode_index": episode,
             "tasks": [task],
-            "length": len(frames),
+            "length": count,
             "data/chunk_index": chunk,
             "data/file_index": file,
             "dataset_from_index": start,
@@ -243,29 +280,35 @@ class LeRobotWriter:
             "meta/episodes/file_index": 0,
             **about,
         }
-        for name, array in values.items():
-            own = episode_stats(array)
+        for name, own in stats.items():
             row |= {f"stats/{name}/{key}": each.tolist() for key, each in own.items()}
             self._stats[name] = joined_stats(self._stats.get(name), own)
         self._episodes.append(row)
         if len(self._episodes) >= _ROW_GROUP:
             self._write_episodes()
 
+    def _begin_episode(self, count: int) -> None:
+        """Begin a new file if the last one has no room for so many frames.
+
+        Args:
+            count: Number of frames of the episode, all of which are in one file.
+        """
+        size = sum(feature.nbytes(count) for feature in self._features.values())
+        if self._file_size and self._file_size + size > DATA_FILE_SIZE:
+            self._open.pop(self._data_path).close()
+            self._file_size = 0
+            self._file_index += 1
+        self._file_size += size
+
     def _write_frames(self, values: Arrays) -> None:
-        """Write an episode as a row group of its own, so that it is found without the others."""
+        """Write frames of one episode as a row group, so that they are found without the others."""
         lists = self._pa.FixedSizeListArray
         arrays = {}
         for name, array in values.items():
             flat = self._pa.array(array.reshape(-1))
             size = self._features[name].size
             arrays[name] = lists.from_arrays(flat, size) if size > 1 else flat
-        table = self._pa.table(arrays)
-        if self._file_size and self._file_size + table.nbytes > DATA_FILE_SIZE:
-            self._open.pop(self._data_path).close()
-            self._file_size = 0
-            self._file_index += 1
-        self._write(self._data_path, table)
-        self._file_size += table.nbytes
+        self._write(self._data_path, self._pa.table(arrays))
 
     @property
     def _data_path(self) -> str:
@@ -345,6 +388,79 @@ def episode_stats(values: Array) -> Stats:
         "mean": rows.mean(axis=0),
         "std": rows.std(axis=0),
         "count": np.array([count]),
+    }
+
+
+class _EpisodeValues:
+    """The frames of an episode, of which `stats` is taken; on the disk if they come by parts.
+
+    Args:
+        folder: Where they are, in files without names.
+        count: Number of frames of the episode.
+    """
+
+    def __init__(self, folder: Path, count: int) -> None:
+        self._folder = folder
+        self._count = count
+        self._columns: dict[str, DiskColumn] = {}
+        self._stats: dict[str, Stats] = {}
+
+    def add(self, values: Arrays) -> None:
+        """Take the next frames.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        for name, array in values.items():
+            if len(array) == self._count:
+                self._stats[name] = episode_stats(array)
+                continue
+            if name not in self._columns:
+                self._columns[name] = DiskColumn(
+                    self._folder, array.dtype, array.shape[1:]
+                )
+            self._columns[name].append(array)
+
+    def stats(self) -> dict[str, Stats]:
+        """Return the statistics of each column over all frames (`episode_stats`)."""
+        return self._stats or {
+            name: _stats_on_disk(values) for name, values in self._columns.items()
+        }
+
+    def close(self) -> None:
+        """Remove the frames from the disk."""
+        for values in self._columns.values():
+            values.close()
+
+
+def _stats_on_disk(values: DiskColumn) -> Stats:
+    """Return `episode_stats`, with all frames of one number in memory at a time."""
+
+    def matrices() -> Iterator[tuple[slice, Array]]:
+        start = 0
+        for rows in values.pieces():
+            yield (
+                slice(start, start + len(rows)),
+                rows.reshape(len(rows), -1).astype(float),
+            )
+            start += len(rows)
+
+    is_known = np.empty(len(values), dtype=bool)
+    for frames, rows in matrices():
+        is_known[frames] = finite_samples(rows)
+    numbers = np.empty(len(values))
+    found = []
+    for k in range(int(np.prod(values.shape[1:], dtype=int))):
+        for frames, rows in matrices():
+            numbers[frames] = rows[:, k]
+        # A frame without one of its numbers does not count.
+        numbers[~is_known] = np.nan
+        found.append(episode_stats(numbers))
+    return {
+        name: found[0][name]
+        if name == "count"
+        else np.concatenate([stats[name] for stats in found])
+        for name in found[0]
     }
 
 

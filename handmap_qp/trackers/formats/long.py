@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from handmap_core.errors import expect
+from handmap_core.errors import HandmapError, expect
 from handmap_core.se3 import Array
 from handmap_qp.hands import Values
 from handmap_qp.human import Recording, RecordingPart
@@ -80,6 +80,32 @@ class LongRecording:
             overview=overview_of(change(parts()), self.blocks),
             parts=lambda: change(parts()),
         )
+
+
+def open_or_read(
+    count: int,
+    open_long: Callable[[], LongRecording | None],
+    read: Callable[[], Recording],
+) -> Recording | LongRecording:
+    """Open a recording to be read by pieces if it is long, and read it as a whole otherwise.
+
+    Args:
+        count: Number of its samples.
+        open_long: Opens it; returns None if it has to be read as a whole.
+        read: Reads it as a whole.
+
+    Raises:
+        HandmapError: If it is damaged. Where it fits into the memory, `read` says what is wrong.
+    """
+    if count < SHORTEST:
+        return read()
+    try:
+        long = open_long()
+    except HandmapError:
+        if count > OVERVIEW:
+            raise
+        return read()
+    return long or read()
 
 
 def in_memory(recording: Recording | LongRecording) -> Recording:

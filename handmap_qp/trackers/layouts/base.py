@@ -8,7 +8,7 @@ how the wrist's pose is obtained, and what the tracker does not give.
 import abc
 from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from msgspec import Struct, StructMeta
@@ -127,6 +127,8 @@ class Layout(
         aliases: Further names of columns.
         defaults: What stands for columns that may be missing.
         has_wrist: Whether the values hold a wrist pose.
+        is_by_sample: Whether a sample is read without the others, so that a recording may be read
+            by pieces.
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
@@ -143,6 +145,7 @@ class Layout(
     time: dict[str, float] = {}
     wrist: WristTable | None = None
     has_wrist = False
+    is_by_sample: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         self.shapes: tuple[tuple[int, ...], ...] = ()
@@ -250,7 +253,7 @@ class Layout(
         """
         if isinstance(values, Mapping):
             values = self.from_columns(values, side)
-        landmarks, wrists, seen = self._convert(
+        landmarks, wrists, seen = self.convert(
             [values], side, None if wrist is None else [wrist], [valid], lengths
         )
         pose = wrists[0] if wrists is not None else None
@@ -281,7 +284,7 @@ class Layout(
         Raises:
             InvalidInputError: As in `read` and of `Recording`.
         """
-        landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
+        landmarks, poses, seen = self.convert(values, side, wrists, valid, lengths)
         return Recording(
             name,
             np.asarray(time),
@@ -293,7 +296,7 @@ class Layout(
             upright=self.upright,
         )
 
-    def _convert(
+    def convert(
         self,
         values: Any,
         side: Side,
@@ -301,7 +304,15 @@ class Layout(
         valid: Any,
         lengths: HumanLengths | None,
     ) -> tuple[Array, Array | None, Array]:
-        """Return landmarks, wrist poses if there are any, and which samples are seen."""
+        """Turn samples into landmarks, wrist poses if there are any, and which samples are seen.
+
+        Arguments and errors are those of `record`.
+
+        Returns:
+            Landmarks [m], shape (T, 21, 3), NaN where the hand was not seen; wrist poses, shape
+            (T, 4, 4), unit matrices where it was not seen, or None; and whether it was seen, shape
+            (T,).
+        """
         check_side(side)
         array = self._checked(values)
         count = len(array)

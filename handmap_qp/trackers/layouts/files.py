@@ -5,6 +5,7 @@ Files in the package's own forms need no layout; `handmap_qp.trackers.formats` r
 
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,36 +68,88 @@ def read_with_layout(
         )
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
-        hints = FileHints(side, fps)
-        handedness = arrays.get("handedness")
-        hand = (
-            hints.side_of_file()
-            if handedness is None
-            else side_of(handedness, "handedness")
-        )
-        if side not in (None, hand):
-            raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
-        time = _time(arrays, layout) if fps is None else None
-        count = None if time is None else len(time)
-        values = arrays[_values_name(arrays, layout, side, count)]
-        if time is None:
-            time = hints.time_of_file(len(values))
+        content = content_of(arrays, layout, side, fps)
+        values = arrays[content.values]
+        wrists = arrays[content.wrists] if content.wrists else None
         recording = layout.record(
             file.stem,
-            time,
+            content.time,
             values,
-            hand,
+            content.side,
             valid=arrays.get("valid"),
-            wrists=_wrists_beside(arrays, layout, side),
+            wrists=None if wrists is None else as_wrists(wrists),
             lengths=lengths,
         )
-        finding = examine_recording(recording)
-        if finding is None:
-            return recording
-        names = [] if finding.kind in ("time", "wrist") else _better(recording, values)
-        other = f"read them with --layout {' or '.join(names)}"
-        problem = f"as the layout {layout.name}, {finding.problem}"
-        raise InvalidInputError(problem, advice=other if names else finding.advice)
+        expect_plausible(recording, layout, values)
+        return recording
+
+
+class Content(NamedTuple):
+    """What the arrays of a file are.
+
+    Attributes:
+        side: Which hand they are of.
+        time: Instants of the samples [s], shape (T,).
+        values: Name of the array whose rows are samples of the layout.
+        wrists: Name of that of wrist poses beside the values; empty if there is none, or the layout
+            does not take them.
+    """
+
+    side: Side
+    time: Array
+    values: str
+    wrists: str
+
+
+def content_of(
+    arrays: Arrays, layout: Layout, side: Side | None, fps: float | None
+) -> Content:
+    """Find out what the arrays of a file are.
+
+    Args:
+        arrays: The arrays by name. Of those with two axes or more, only shape and type count.
+        layout: As of `read_with_layout`.
+        side: As of `read_with_layout`.
+        fps: As of `read_with_layout`.
+
+    Raises:
+        InvalidInputError: If something is missing or of another shape.
+    """
+    hints = FileHints(side, fps)
+    handedness = arrays.get("handedness")
+    hand = (
+        hints.side_of_file()
+        if handedness is None
+        else side_of(handedness, "handedness")
+    )
+    if side not in (None, hand):
+        raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
+    time = _time(arrays, layout) if fps is None else None
+    count = None if time is None else len(time)
+    values = _values_name(arrays, layout, side, count)
+    if time is None:
+        time = hints.time_of_file(len(arrays[values]))
+    return Content(hand, time, values, _wrists_name(arrays, layout, side))
+
+
+def expect_plausible(recording: Recording, layout: Layout, values: Array) -> None:
+    """Reject a recording that cannot be a hand.
+
+    Args:
+        recording: The recording.
+        layout: The layout that it was read with.
+        values: Its values, of which other layouts are tried; none are if there are no rows.
+
+    Raises:
+        InvalidInputError: With the layouts that fit better.
+    """
+    finding = examine_recording(recording)
+    if finding is None:
+        return
+    names = [] if finding.kind in ("time", "wrist") else _better(recording, values)
+    other = f"read them with --layout {' or '.join(names)}"
+    problem = f"as the layout {layout.name}, {finding.problem}"
+    raise InvalidInputError(problem, advice=other if names else finding.advice)
 
 
 def layout_hint(path: Path) -> str:
@@ -178,19 +231,21 @@ def _values_name(
     raise InvalidInputError(f"{problem}; {hint or listing}")
 
 
-def _wrists_beside(
+def _wrists_name(
     arrays: Arrays,
     layout: Layout,
     side: Side | None,
-) -> Array | None:
-    """Return wrist poses beside the values, where the layout takes them."""
+) -> str:
+    """Return the name of wrist poses beside the values, where the layout takes them."""
     if layout.wrist is None or layout.has_wrist:
-        return None
+        return ""
     other = OTHER_SIDE[side] if side else "neither"
     names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
-    if not names:
-        return None
-    given = arrays[names[0]]
+    return names[0] if names else ""
+
+
+def as_wrists(given: Array) -> Array:
+    """Return wrist poses of a file as `Layout.record` takes them: without axes of one."""
     return given.reshape(-1, *given.shape[-2:]) if given.ndim > 2 else given
 
 

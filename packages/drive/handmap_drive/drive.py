@@ -38,6 +38,8 @@ HOTTEST = 60.0
 """Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
 _BEYOND = 0.05
 """How far beyond the range of its motor a command is reported [rad]."""
+_REFUSED = 10.0
+"""Time after which a session is told where the joints are that refused to be told [s]."""
 _LOGGED = 10_000
 """Turns of which the summary is: the last minutes."""
 
@@ -139,6 +141,9 @@ class Loop:
         self._epoch = command.epoch
         self._age = np.nan
         self._is_clipped = False
+        # The session may refuse to be told where the joints are.
+        self._tells_from = now
+        self._is_refused = False
         # The loop itself.
         self.state = State.STOPPED
         self._problem = ""
@@ -172,7 +177,23 @@ class Loop:
             self.act(monotonic(), is_held=is_held())
             # Joints that were not read now are not reported as fresh.
             if self._is_read:
-                client.measured(self.measured)
+                self._tell(client, monotonic())
+
+    def _tell(self, client: Client, now: float) -> None:
+        """Say where the joints are, at a time [s, monotonic].
+
+        A session of another client takes that only if it is shared. If it refuses, warn once, and
+        ask again every `_REFUSED` seconds: the next session of that name may be shared.
+        """
+        if now < self._tells_from:
+            return
+        refusal = client.measured(self.measured)
+        if not refusal or refusal.code != "denied":
+            return
+        self._tells_from = now + _REFUSED
+        if not self._is_refused:
+            self._is_refused = True
+            warn(f"the session does not take where the joints are: {refusal.message}")
 
     @property
     def measured(self) -> list[float]:

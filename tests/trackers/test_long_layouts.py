@@ -1,0 +1,165 @@
+"""Recordings of hours in a tracker's own layout are read by pieces: the same numbers."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from layout_cases import wrist_beside
+from long_cases import FORMATS, PIECE, played, shorten_pieces, traced_peak
+
+from handmap_core.se3 import affine, rigid_fit
+from handmap_qp.cli import main
+from handmap_qp.errors import RecordingError
+from handmap_qp.human import PALM, HumanSample, Recording, landmarks_at_rest
+from handmap_qp.trackers import LAYOUTS, Layout, LongRecording, read_long_with_layout
+from handmap_qp.trackers.layouts.base import sized_human
+
+BY_PIECES = [name for name, layout in LAYOUTS.items() if layout.is_by_sample]
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let recordings of seconds be long ones, of many pieces."""
+    shorten_pieces(monkeypatch)
+
+
+def written(folder: Path, layout: Layout, count: int = 230, **changes: Any) -> Path:
+    """Write a hand in a layout, unseen for more than a piece, with wrists where it takes them."""
+    # The hand of the demo moves little in 30 samples, which are enough.
+    hand = played("hours", 30)
+    palm = landmarks_at_rest(sized_human("right"))[PALM]
+    values, wrists = [], []
+    for points in hand.landmarks:
+        wrist = affine(np.eye(3), points[0]) @ affine(
+            rigid_fit(palm, points[PALM])[:3, :3], np.zeros(3)
+        )
+        values.append(layout.write(HumanSample(0.0, "right", points, wrist)))
+        wrists.append(wrist_beside(layout, wrist, "right"))
+    order = np.resize([*range(30), *reversed(range(30))], count)
+    rows = np.array(values)[order]
+    rows[: PIECE + 7] = np.nan
+    rows[120] = np.nan
+    arrays: dict[str, Any] = {
+        "time": 5.0 + np.arange(count) / 30.0,
+        layout.arrays[0]: rows,
+        "handedness": np.array("right"),
+        "valid": np.arange(count) % 70 != 60,
+    }
+    if wrists[0] is not None:
+        arrays["wrist"] = np.array(wrists)[order]
+    file = folder / "hours.npz"
+    np.savez(file, allow_pickle=False, **arrays | changes)
+    return file
+
+
+def as_whole(file: Path, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Recording:
+    """Read a recording as a whole."""
+    with monkeypatch.context() as patch:
+        patch.setattr(f"{FORMATS}.long.SHORTEST", 10**6)
+        found = read_long_with_layout(file, layout)
+    assert isinstance(found, Recording)
+    return found
+
+
+@pytest.mark.parametrize("name", BY_PIECES)
+def test_pieces_are_the_recording_to_the_last_bit(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layout = LAYOUTS[name]
+    file = written(tmp_path, layout)
+    long = read_long_with_layout(file, layout)
+    assert isinstance(long, LongRecording)
+    whole = as_whole(file, layout, monkeypatch)
+    parts = [*long.parts()]
+    assert max(map(len, parts)) == PIECE
+    assert not parts[0].valid.any()
+    for field in fields(Recording):
+        expected = getattr(whole, field.name)
+        if not isinstance(expected, np.ndarray):
+            assert getattr(long.overview, field.name) == expected, field.name
+            assert {getattr(part, field.name) for part in parts} == {expected}
+            continue
+        assert getattr(long.overview, field.name).tobytes() == expected.tobytes()
+        found = np.concatenate([getattr(part, field.name) for part in parts])
+        assert found.tobytes() == expected.tobytes(), field.name
+
+
+def test_the_command_writes_the_same_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = written(tmp_path, LAYOUTS["webxr25"])
+    found = []
+    for shortest in (2, 10**6):
+        monkeypatch.setattr(f"{FORMATS}.long.SHORTEST", shortest)
+        out = tmp_path / f"{shortest}.npz"
+        words = ["--layout", "webxr25", "--robot", "three_finger", "--out", str(out)]
+        assert main(["retarget", str(file), *words]) == 0
+        found.append(out.read_bytes())
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("fault", ["time", "unit", "shape", "valid", "unseen", "torn"])
+def test_a_fault_is_named_as_in_a_short_recording(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layout = LAYOUTS["webxr25"]
+    file = written(tmp_path, layout)
+    arrays = dict(np.load(file))
+    name = layout.arrays[0]
+    if fault == "time":
+        arrays["time"][150] = arrays["time"][149]
+    elif fault == "unit":
+        arrays[name] = 1000.0 * arrays[name]
+    elif fault == "shape":
+        arrays[name] = arrays[name][:, :20]
+    elif fault == "valid":
+        arrays["valid"] = arrays["valid"][:100]
+    elif fault == "unseen":
+        arrays["valid"][:] = False
+    np.savez(file, allow_pickle=False, **arrays)
+    if fault == "torn":
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content)
+    with pytest.raises(RecordingError) as found:
+        read_long_with_layout(file, layout)
+    with pytest.raises(RecordingError) as expected:
+        as_whole(file, layout, monkeypatch)
+    assert str(found.value) == str(expected.value)
+    if fault in ("time", "unit"):
+        # Longer ones are not read as a whole, and say it themselves.
+        monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 100)
+        monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
+        with pytest.raises(RecordingError, match=r"increasing|millimetres"):
+            read_long_with_layout(file, layout)
+
+
+@pytest.mark.parametrize("name", ["angles20", "markers13"])
+def test_samples_that_depend_on_each_other_are_read_as_a_whole(
+    name: str, tmp_path: Path
+) -> None:
+    layout = LAYOUTS[name]
+    human = sized_human("right")
+    values = layout.write_posture(human, human.rest, np.eye(4))
+    file = tmp_path / "hours.npz"
+    np.savez(file, time=np.arange(60) / 30.0, values=np.array([values] * 60))
+    assert isinstance(read_long_with_layout(file, layout, "right"), Recording)
+
+
+def test_memory_does_not_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{FORMATS}.long.OVERVIEW", 200)
+    monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
+    layout = LAYOUTS["openxr26"]
+    peaks: list[int] = []
+    for count in (1000, 4000):
+        file = written(tmp_path, layout, count)
+        with traced_peak(peaks):
+            long = read_long_with_layout(file, layout)
+            assert isinstance(long, LongRecording)
+            assert sum(len(part) for part in long.parts()) == count
+    # Instants and flags; a sample has 1456 bytes, and its landmarks 504.
+    assert peaks[1] - peaks[0] < 60 * 3000
