@@ -184,13 +184,15 @@ def test_a_copy_that_looks_ahead_goes_on_with_its_look(
     assert len(copies) > 3
     ((via, *_),) = mapper.point_ik.core.detours
     for taken, other in enumerate(copies):
-        # A copy knows no distances yet: it measures more in its first sample, and foresees less there.
+        # A copy knows no distances yet: in its first sample it measures more, and foresees less.
         left = len(copies) - taken
         while not is_on_detour(other) and left >= 0:
             other.map_step(human_q, PALM)
             left -= 1
         assert is_on_detour(other)
         ((same, *_),) = other.point_ik.core.detours
+        assert via is not None
+        assert same is not None
         np.testing.assert_allclose(same, via, atol=0.05)
 
 
