@@ -31,7 +31,7 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import HandSample, Step
 from handmap_qp.hands import Side
 
-MOST_CALLS = 110
+MOST_CALLS = 111
 """Calls of Python and C for an answer."""
 MOST_CALLS_FOR_TWO = 334
 """Likewise for a robot with two hands."""

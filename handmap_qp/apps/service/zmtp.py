@@ -48,7 +48,8 @@ class PeerError(Exception):
 def frame(body: bytes, flags: int = 0) -> bytes:
     """Return a frame."""
     if len(body) > 0xFF:
-        return bytes((flags | _LONG,)) + len(body).to_bytes(8, "big") + body
+        size = len(body).to_bytes(8, "big")
+        return bytes((flags | _LONG,)) + size + body
     return bytes((flags, len(body))) + body
 
 
