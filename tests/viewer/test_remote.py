@@ -197,12 +197,13 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
 def test_the_service_says_whether_the_hand_is_slow(
     service: Server, robot: str, is_slow: bool
 ) -> None:
-    with (
-        connected(service, robot, None, name="lab", has_detail=True) as client,
-        moving(client),
-        watching(service, session="lab") as (session, samples),
-    ):
-        next(samples)
+    with connected(service, robot, None, name="lab", has_detail=True) as client:
+        with (
+            moving(client),
+            watching(service, session="lab") as (session, samples),
+        ):
+            next(samples)
+        # A client belongs to one thread at a time.
         fist = client.status().fist
     assert fist is not None
     expected = f"needs {fist.time:.1f} s for a fist: a person is faster"
