@@ -26,6 +26,7 @@ import zmq
 from .listening import Client, Connection, Listener
 from .logs import Metrics
 from .safety import Bucket
+from .zmtp import GREETING, OLDER, head_size, is_older
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""
@@ -33,9 +34,6 @@ _STARVED = 1.0
 """Time without credit after which a connection ends [s]."""
 _BUFFER = 4096
 """Bytes that wait for a client before the gate stops reading from the socket."""
-_GREETING = 64
-_LONG = 0x02
-"""ZMTP 3: bytes of the greeting; flag of a frame whose length has eight bytes."""
 _FRAME = 64
 """What libzmq stores for a frame beside its content [bytes]."""
 
@@ -52,15 +50,15 @@ def count_frames() -> Generator[int, bytes, None]:
         ValueError: If the peer speaks an older protocol.
     """
     data = b""
-    while len(data) < _GREETING:
+    while len(data) < GREETING:
         data += yield 0
-    if data[0] != 0xFF or not data[9] & 1 or data[10] < 3:
-        raise ValueError("a client speaks an older protocol than ZMTP 3")
-    at = _GREETING
+    if is_older(data):
+        raise ValueError(OLDER)
+    at = GREETING
     while True:
         count = 0
         while at < len(data):
-            size = 9 if data[at] & _LONG else 2
+            size = head_size(data[at])
             if at + size > len(data):
                 break
             at += size + int.from_bytes(data[at + 1 : at + size], "big")

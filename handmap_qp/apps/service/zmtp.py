@@ -14,6 +14,8 @@ from .safety import Bucket
 
 GREETING = 64
 """Bytes that each side sends first."""
+OLDER = "a client speaks an older protocol than ZMTP 3"
+"""Why a peer is refused whose greeting `is_older`."""
 _VERSION = 3
 _MECHANISM = slice(12, 32)
 _NULL = b"NULL".ljust(20, b"\0")
@@ -43,6 +45,16 @@ class PeerError(Exception):
     def __init__(self, reason: str, *, is_handshake: bool = False) -> None:
         super().__init__(reason)
         self.is_handshake = is_handshake
+
+
+def is_older(greeting: bytes | bytearray) -> bool:
+    """Return whether a peer's greeting is not that of ZMTP 3, but older."""
+    return greeting[0] != 0xFF or not greeting[9] & 1 or greeting[10] < _VERSION
+
+
+def head_size(flags: int) -> int:
+    """Return how many bytes of a frame come before its body: flags and length."""
+    return 9 if flags & _LONG else 2
 
 
 def frame(body: bytes, flags: int = 0) -> bytes:
@@ -132,8 +144,8 @@ class Peer:
         data = self._data
         if len(data) < GREETING:
             return
-        if data[0] != 0xFF or not data[9] & 1 or data[10] < _VERSION:
-            raise PeerError("a client speaks an older protocol than ZMTP 3")
+        if is_older(data):
+            raise PeerError(OLDER)
         if data[_MECHANISM] != _NULL:
             raise PeerError("another mechanism", is_handshake=True)
         del data[:GREETING]
@@ -145,7 +157,7 @@ class Peer:
         if len(data) < 2:
             return None
         flags = data[0]
-        head = 9 if flags & _LONG else 2
+        head = head_size(flags)
         if len(data) < head:
             return None
         size = int.from_bytes(data[1:head], "big")
