@@ -14,6 +14,9 @@ from repair import label_of
 from handmap_qp.apps.onboarding.editor import HandEditor
 from handmap_qp.se3 import quat_wxyz_from_rotation, rotation_from_quat_wxyz
 
+# The lists of the page, without the hidden inputs that have the same values.
+_LISTS = "input[role=combobox]"
+
 
 def chromium() -> str:
     """Return the browser's program; skip the test without one."""
@@ -53,21 +56,31 @@ class Page:
 
     def choose(self, before: str, name: str) -> None:
         """Choose an entry of the first list that shows another one."""
-        self.click("input", f"e => e.value == '{before}'")
+        self.click(_LISTS, f"e => e.value == '{before}'")
         self._pick(name)
 
     def choose_in(self, label: str, name: str) -> None:
         """Choose an entry of the list with a label."""
         row = "p => p && (p.innerText.trim() == wanted ? true : above(p.parentElement))"
         is_of = f"(() => {{ const wanted = '{label}'; const above = {row}; return above; }})()"
-        self.click("input", f"e => ({is_of})(e.parentElement)")
+        self.click(_LISTS, f"e => ({is_of})(e.parentElement)")
         self._pick(name)
 
     def _pick(self, name: str) -> None:
-        """Click an entry of the open list; the page has the entries of all lists."""
-        is_shown = "e.offsetParent !== null"
+        """Click an entry of the open list, and wait until the list is closed and shows it.
+
+        The page has the entries of all lists, and draws those of a list while it closes.
+        """
+        opened = f"document.querySelector('{_LISTS}[aria-expanded=true]')"
+        self.browser.wait_for(f"!!{opened}")
+        chosen = f"{opened}?.getAttribute('aria-controls')"
         self.click(
-            "[role=option]", f"e => {is_shown} && e.innerText.trim() == '{name}'"
+            "[role=option]",
+            f"e => e.closest('[role=listbox]').id == {chosen} && e.innerText.trim() == '{name}'",
+        )
+        self.browser.wait_for(f"!{opened}")
+        self.browser.wait_for(
+            f"[...document.querySelectorAll('{_LISTS}')].some(e => e.value == '{name}')"
         )
 
 
