@@ -317,3 +317,12 @@ def test_a_wrist_is_no_jaw(tmp_path: Path) -> None:
     file.write_text(_one_jaw("j4", has_shapes=False), encoding="utf-8")
     with pytest.raises(HandError, match=r"one chain of .* or name the palm"):
         detect(file)
+
+
+@pytest.mark.parametrize("name", ["wrist_roll", "NeckPitch", "right_ankle"])
+def test_a_stump_or_a_head_is_no_jaw(tmp_path: Path, name: str) -> None:
+    """A last body that comes to the surface of the one before is none if its joint says so."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(_one_jaw(name, has_shapes=True), encoding="utf-8")
+    with pytest.raises(HandError, match=r"one chain of .* or name the palm"):
+        detect(file)

@@ -93,6 +93,12 @@ def palm_evidence(names: Iterable[str], above: Iterable[str]) -> float:
     return _BRANCHES + sum(weight for weight, holds in terms if holds)
 
 
+def names_other_part(joint: str) -> bool:
+    """Return whether a joint is named as one of an arm, a leg or a head, and not of a gripper."""
+    parts = (_ARM_PART, _LEG_PART, _HEAD, _LIMB)
+    return not _HAND.search(joint) and any(part.search(joint) for part in parts)
+
+
 def names_hand(names: Iterable[str]) -> bool:
     """Return whether a name is that of a hand, a gripper or a part of one."""
     return any(map(_HAND.search, names))

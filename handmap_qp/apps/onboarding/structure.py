@@ -15,7 +15,12 @@ import pinocchio as pin
 
 from handmap_core.se3 import Array, box_of, lengths, transform_points, unit
 from handmap_qp.hands import LOOP_END, Finger, ends_of, origin_of
-from .limbs import LONGEST_FINGER, finger_evidence, palm_evidence
+from .limbs import (
+    LONGEST_FINGER,
+    finger_evidence,
+    names_other_part,
+    palm_evidence,
+)
 from .robot import Robot, carriers
 
 # A chain that moves its end by less than this is a motor or a sensor, not a finger [m].
@@ -188,11 +193,14 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     """Return the jaw at the end of a chain, and the place on the body before it that it closes on.
 
     A last body is a jaw by its name, or if its tip comes from afar to the other's surface. The
-    fixed tip is where the moving one is then. There are none of a finger by itself.
+    fixed tip is where the moving one is then. There are none of a finger by itself, and a head or
+    a stump at a wrist is none.
     """
     palm = robot.model.parents[leaf]
     whole = RobotFinger(robot, leaf, 0)
     jaw = RobotFinger(robot, leaf, palm)
+    if names_other_part(jaw.joint_names[0]):
+        return []
     tips = transform_points(_poses(jaw, palm), jaw.tip[1])[[0, -1]]
     is_finger = whole.joints != jaw.joints and whole.length < LONGEST_FINGER
     if is_finger or jaw.length > LONGEST_FINGER or math.dist(*tips) < _OPEN:
