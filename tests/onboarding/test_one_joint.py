@@ -115,3 +115,44 @@ def test_jaws_whose_slides_start_beyond_their_tips_lie_ahead() -> None:
     )
     found = detect(Path("x"), f'<robot name="x"><link name="base"/>{jaws}</robot>')
     assert found.spec.palm.distal[0] > 0.9
+
+
+@pytest.mark.parametrize("lean", [-0.85, -1.0])
+def test_jaws_that_lean_far_apart_point_along_the_middle(lean: float) -> None:
+    """Tips that lean far apart move ahead as they close: that is not the way they meet."""
+    found = detect(Path("x"), pair_against_one(span=(0.05, 1.2), lean=lean))
+    np.testing.assert_allclose(found.spec.palm.distal, [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(found.spec.palm.dorsal, [0.0, 0.0, 1.0], atol=1e-6)
+    (clue,) = (clue for clue in found.clues if clue.what == "distal")
+    assert clue.confidence < 0.6
+
+
+@pytest.mark.parametrize("lean", [0.55, 0.7])
+def test_jaws_that_cross_at_zero_open_from_there(lean: float) -> None:
+    """Tips that lean to each other at zero move ahead as they open: they still go apart."""
+    text = pair_against_one(gap=0.05, span=(0.0, 1.5), sense=-1.0, lean=lean)
+    found = detect(Path("x"), text)
+    assert found.kind == "jaws"
+    np.testing.assert_allclose(found.spec.palm.distal, [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(found.spec.palm.dorsal, [0.0, 0.0, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("slower", [0.1, 0.5])
+def test_a_jaw_that_overtakes_the_other_one_closes_on_it(slower: float) -> None:
+    """One joint moves both the same way: only the difference of their motions closes them."""
+    jaws = "".join(
+        f'<link name="{name}"><visual><origin xyz=".05 0 {z}"/><geometry>'
+        f'<box size=".1 .02 .01"/></geometry></visual></link>'
+        f'<joint name="{name}" type="prismatic"><parent link="base"/><child link="{name}"/>'
+        f'<axis xyz="0 0 -1"/><limit lower="0" upper=".05" effort="1" velocity="1"/>'
+        f"{mimic}</joint>"
+        for name, z, mimic in (
+            ("fast", 0.04, ""),
+            ("slow", -0.04, f'<mimic joint="fast" multiplier="{slower}"/>'),
+        )
+    )
+    found = detect(Path("x"), f'<robot name="x"><link name="base"/>{jaws}</robot>')
+    # The back of the other jaw is away from the thumb.
+    thumb = next(point.link for point in found.spec.points if point.finger == "thumb")
+    away = -1.0 if thumb == "fast" else 1.0
+    assert found.spec.palm.dorsal[2] * away > 0.9

@@ -91,7 +91,10 @@ class BoxHand:
 
 
 def pair_against_one(
-    gap: float = 0.03, span: tuple[float, float] = (0.0, 0.5), sense: float = 1.0
+    gap: float = 0.03,
+    span: tuple[float, float] = (0.0, 0.5),
+    sense: float = 1.0,
+    lean: float = 0.0,
 ) -> str:
     """Return a URDF of two jaws beside each other, `ja` and `jb`, against a third one, `jc`.
 
@@ -101,6 +104,7 @@ def pair_against_one(
         gap: Height of their joints over the middle [m].
         span: Range of each joint; they close towards positive positions [rad].
         sense: -1 for joints that open towards positive positions.
+        lean: Angle by which each jaw leans to the middle at zero [rad].
     """
     parts = '<link name="base"/>'
     for name, y, z in (("a", 0.02, gap), ("b", -0.02, gap), ("c", 0.0, -gap)):
@@ -108,7 +112,8 @@ def pair_against_one(
             f'<link name="{name}"><visual><origin xyz=".04 0 0"/><geometry>'
             f'<box size=".08 .02 .01"/></geometry></visual></link>'
             f'<joint name="j{name}" type="revolute"><parent link="base"/><child link="{name}"/>'
-            f'<origin xyz=".05 {y} {z}"/><axis xyz="0 {sense * np.sign(z)} 0"/>'
+            f'<origin xyz=".05 {y} {z}" rpy="0 {np.sign(z) * lean} 0"/>'
+            f'<axis xyz="0 {sense * np.sign(z)} 0"/>'
             f'<limit lower="{span[0]}" upper="{span[1]}" effort="1" velocity="2"/></joint>'
         )
     return f'<robot name="x">{parts}</robot>'

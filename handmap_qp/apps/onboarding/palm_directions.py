@@ -7,7 +7,15 @@ from handmap_qp.hands import PARALLEL
 from .hypotheses import CERTAIN, DISPUTED, LIKELY
 from .layout import Layout
 from .structure import Clue
-from .vectors import UNKNOWN, angle_between, beside, nearest_axis, snapped, widest
+from .vectors import (
+    UNKNOWN,
+    across_ways,
+    angle_between,
+    beside,
+    nearest_axis,
+    snapped,
+    widest,
+)
 
 # Length of the mean unit vector of fingers that agree.
 _AGREED = 0.85
@@ -89,8 +97,9 @@ def _is_pair_against_one(layout: Layout) -> bool:
     flexion = layout.flexion
     if len(layout.others) != 2 or flexion.shortens.any():
         return False
-    way = unit(flexion.ways[layout.others].sum(axis=0))
-    return bool(flexion.ways[layout.thumb] @ way < _OPPOSED)
+    ways = across_ways(flexion.ways, flexion.directions, layout.others)
+    way = unit(ways[layout.others].sum(axis=0))
+    return bool(ways[layout.thumb] @ way < _OPPOSED)
 
 
 def _middle(directions: Array) -> Array:
@@ -131,8 +140,12 @@ def find_dorsal(layout: Layout, distal: Clue) -> Clue:
     ahead = distal.answer
     mean = flexion.ways[others].mean(axis=0)
     agreement = lengths(mean)
-    palmar = beside(mean, ahead)
     how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
+    overtaking = _overtaking(layout)
+    if overtaking.any():
+        mean = overtaking
+        how = "away from the jaw that closes on the other one, which moves the same way"
+    palmar = beside(mean, ahead)
     sign = np.median(flexion.certainty[others])
     upright = np.cross(layout.axis, ahead)
     if abs(palmar @ upright) > 0.2:
@@ -159,6 +172,20 @@ def find_dorsal(layout: Layout, distal: Clue) -> Clue:
         best = DISPUTED
         how += f"; the row of the knuckles is {tilt:.0f} degrees off the palm's plane"
     return Clue("dorsal", dorsal, how, min(best, sign, distal.confidence), sign)
+
+
+def _overtaking(layout: Layout) -> Array:
+    """Return the way of the other jaw relative to the thumb that overtakes it, zero if none does.
+
+    One joint that moves two jaws the same way closes them by the difference of their motions.
+    """
+    flexion = layout.flexion
+    if len(flexion.bases) != 2 or layout.thumb is None or flexion.axes.any():
+        return UNKNOWN
+    travels = flexion.tips_closed - flexion.tips_open
+    (other,) = layout.others
+    relative = travels[other] - travels[layout.thumb]
+    return unit(relative) if relative @ flexion.ways[other] < 0.0 else UNKNOWN
 
 
 def confirmed(dorsal: Clue) -> Clue:

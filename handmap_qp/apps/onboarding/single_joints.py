@@ -12,6 +12,7 @@ import numpy as np
 
 from handmap_core.se3 import Array, unit
 from handmap_qp.hands import PARALLEL, THUMB, Finger, Hand, PalmKinematics
+from .vectors import across_ways
 
 FingerKind = Literal["fingers", "jaws"]
 """What fingers with one flexing joint each are; of other fingers it says nothing."""
@@ -105,7 +106,7 @@ def find_single_joints(
     values = {
         "parallel": parallel,
         "range": 1.0 - 4.0 * float(shares[alike].max()),
-        "apart": -1.0 if _part(alike, ways * is_known[:, None], roots) else 0.0,
+        "apart": -1.0 if _part(alike, ways * is_known[:, None], lines, roots) else 0.0,
         "thumb and finger": 1.0 if count <= _PAIR and THUMB in labels else 0.0,
     }
     beside = _BESIDE * ways.any(axis=1)
@@ -113,16 +114,18 @@ def find_single_joints(
     return SingleJoints(straight, values)
 
 
-def _part(alike: Array, ways: Array, roots: Array) -> bool:
+def _part(alike: Array, ways: Array, lines: Array, roots: Array) -> bool:
     """Return whether some fingers and the others go apart from zero, as jaws that open.
 
     Args:
         alike: Which fingers are parallel, shape (F,).
         ways: Unit direction of each tip's motion from zero; zero if not known, shape (F, 3).
+        lines: Unit direction of each finger at zero, shape (F, 3).
         roots: Origin of each finger's first joint [m], shape (F, 3).
     """
     if alike.all():
         return False
+    ways = across_ways(ways, lines, np.flatnonzero(alike))
     way = unit(ways[alike].sum(axis=0))
     apart = roots[alike].mean(axis=0) - roots[~alike].mean(axis=0)
     is_opposed = ways[~alike] @ way < _OPPOSED

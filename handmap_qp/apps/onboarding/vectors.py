@@ -1,8 +1,10 @@
 """Directions of a palm: parts of vectors, angles between them, and the nearest axis of a link."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from handmap_core.se3 import Array, unit
+from handmap_core.se3 import Array, lengths, unit
 
 # Largest angles at which a direction counts as the palm link's axis: alone, and if the knuckles lie
 # in that direction from the link's origin [deg].
@@ -10,6 +12,8 @@ _SNAP = 5.0
 _SNAP_WITH_PALM = 16.0
 # Largest angle of the axis of flexion to another of these axes for the latter [deg].
 _SNAP_AXIS = 8.0
+# A tip whose motion has a smaller part across the fingers does not tell which way they close.
+_ACROSS = 0.2
 UNKNOWN = np.zeros(3)
 """A direction that is not known."""
 
@@ -17,6 +21,27 @@ UNKNOWN = np.zeros(3)
 def beside(vector: Array, direction: Array) -> Array:
     """Return the part of a vector at right angles to a unit vector."""
     return vector - (vector @ direction) * direction
+
+
+def across_ways(ways: Array, lines: Array, alike: Sequence[int] | Array) -> Array:
+    """Return the motions of fingertips across the middle of fingers that lean apart.
+
+    The tips of fingers that lean far apart move ahead as they close, which is not the way in which
+    they meet.
+
+    Args:
+        ways: Unit direction of each tip's motion, shape (F, 3).
+        lines: Unit direction of each finger, shape (F, 3).
+        alike: Indices of the fingers on one side of the middle; all others are on the other side.
+
+    Returns:
+        Unit vectors at right angles to the middle, shape (F, 3); zero of a tip that moves along it.
+    """
+    one = lines[alike].sum(axis=0)
+    other = lines.sum(axis=0) - one
+    middle = unit(unit(one) + unit(other))
+    across = ways - np.outer(ways @ middle, middle)
+    return np.where(lengths(across)[:, None] > _ACROSS, unit(across), 0.0)
 
 
 def widest(points: Array) -> Array:
