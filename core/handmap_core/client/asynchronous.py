@@ -384,7 +384,7 @@ class AsyncClient(Calls):
             Why the server refused an earlier call; None if no refusal has arrived.
         """
         given = {"type": "touch", "forces": forces, "efforts": efforts, "time": time}
-        return await self._run(self._tell(request_fields(given)))
+        return await self._run(self._tell(request_fields(given), "touches"), "touches")
 
     async def haptics(self, timeout: float = 0.0) -> Haptics | None:
         """Return what the fingers of the robot feel, in the session opened or watched.

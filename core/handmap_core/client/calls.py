@@ -45,7 +45,7 @@ Request = dict[str, Any]
 Socket = zmq.Socket[Any]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
-Use = Literal["requests", "samples", "stream", "haptics"]
+Use = Literal["requests", "samples", "stream", "haptics", "touches"]
 Call = Coroutine[Any, Any, T]
 
 
@@ -229,10 +229,13 @@ class Calls:
             await self._reopen(monotonic() + self.timeout)
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
-    async def _tell(self, request: Request) -> Error | None:
-        """Send a request without waiting for its answer; return the refusal of an earlier one."""
-        reply = await self._read("samples", 0.0)
-        await self._io("samples", _ENCODE(self._numbered(request)), 0.0)
+    async def _tell(self, request: Request, use: Use = "samples") -> Error | None:
+        """Send a request without waiting for its answer; return the refusal of an earlier one.
+
+        A newer request for the same use may replace it before it is sent.
+        """
+        reply = await self._read(use, 0.0)
+        await self._io(use, _ENCODE(self._numbered(request)), 0.0)
         return reply if isinstance(reply, Error) else None
 
     async def _latest(self, timeout: float) -> Command | None:

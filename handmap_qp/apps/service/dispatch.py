@@ -431,7 +431,7 @@ class Dispatcher:
                 self._wait(request, payload, send, self.schedule)
             case Touch():
                 # It does not move the robot, so that its order does not matter.
-                send(self._attempt(self._answer, request, payload))
+                send(self._attempt(self._touch, request))
             case Stop() | Disengage():
                 self._overtake(request)
                 send(self._attempt(self._answer, request, payload))
@@ -581,9 +581,6 @@ class Dispatcher:
         if not request.session and isinstance(request, Status | Stop):
             return self._for_all(request)
         session = self.sessions.find(request.session, self._by)
-        if isinstance(request, Touch):
-            # It may overtake samples, whose numbers must not become stale by it.
-            return self._act(request, session)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
         if request.seq <= session.seq:
@@ -752,6 +749,13 @@ class Dispatcher:
         encoded = encode_reply(command)
         self._published = command, encoded
         self.sessions.send(session.name, encoded)
+
+    def _touch(self, request: Touch) -> AnyReply | None:
+        """Pass on what fingers feel; numbers of samples do not become stale by it."""
+        if request.name is not None:
+            return self._by_name(request)
+        self._feel(request, self.sessions.find(request.session, self._by))
+        return None
 
     def _feel(self, request: Touch, session: Session) -> None:
         """Pass on what fingers feel to who subscribed to it."""
