@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.apps.simulation.haptics import finger_forces
 from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
@@ -34,6 +35,8 @@ from handmap_qp.se3 import affine
 _WAIT = 0.02
 # The simulation never runs ahead of the clock, and skips more than this [s].
 _LONGEST = 0.1
+# Time between two messages of what the fingers feel [s].
+_TOUCH = 0.03
 # The object before its place is known.
 _FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
 
@@ -83,6 +86,7 @@ class StandIn:
         self._epoch = 0
         self._count = 0
         self._is_standing = True
+        self._touched = -math.inf
 
     def run(self, duration: float, report: Callable[[Report], None]) -> None:
         """Follow the session.
@@ -103,7 +107,7 @@ class StandIn:
             if self._goal is None:
                 last = told = now
             elif now - last >= self.simulator.physics.time_step:
-                self._advance(self._goal, min(now - last, _LONGEST))
+                self._advance(self._goal, min(now - last, _LONGEST), now)
                 last = now
                 if now - told >= 1.0:
                     report(self._report())
@@ -136,12 +140,17 @@ class StandIn:
         self._epoch = command.epoch
         self._count += 1
 
-    def _advance(self, goal: np.ndarray, duration: float) -> None:
+    def _advance(self, goal: np.ndarray, duration: float, now: float) -> None:
         """Simulate towards the goal, and let the object go once it is pinched."""
         self.simulator.follow(goal, duration)
         names = self.simulator.hand.joint_names
         measured = dict(zip(names, self.simulator.q.tolist(), strict=True))
         self._client.measured([*(self._angles | measured).values()])
+        if now - self._touched >= _TOUCH:
+            self._client.touch(
+                forces=finger_forces(self.simulator), time=self.simulator.time
+            )
+            self._touched = now
         if self._is_standing and self._pads.is_pinched(self.simulator):
             self.simulator.set_stand(holds=False)
             self._is_standing = False

@@ -4,6 +4,8 @@ See `handmap_core.client.messages`.
 """
 
 from handmap_core.client.messages import FORMER as FORMER
+from handmap_core.client.messages import HAPTICS_END as HAPTICS_END
+from handmap_core.client.messages import HAPTICS_LIFE as HAPTICS_LIFE
 from handmap_core.client.messages import LARGEST as LARGEST
 from handmap_core.client.messages import NAME as NAME
 from handmap_core.client.messages import PROTECTING as PROTECTING
@@ -26,14 +28,17 @@ from handmap_core.client.messages import Detail as Detail
 from handmap_core.client.messages import Disengage as Disengage
 from handmap_core.client.messages import Done as Done
 from handmap_core.client.messages import Duration as Duration
+from handmap_core.client.messages import Efforts as Efforts
 from handmap_core.client.messages import Engage as Engage
 from handmap_core.client.messages import Error as Error
 from handmap_core.client.messages import FingerPlaces as FingerPlaces
 from handmap_core.client.messages import Fist as Fist
+from handmap_core.client.messages import Forces as Forces
 from handmap_core.client.messages import Former as Former
 from handmap_core.client.messages import Gap as Gap
 from handmap_core.client.messages import HandSample as HandSample
 from handmap_core.client.messages import HandState as HandState
+from handmap_core.client.messages import Haptics as Haptics
 from handmap_core.client.messages import Length as Length
 from handmap_core.client.messages import Lengths as Lengths
 from handmap_core.client.messages import Matrix as Matrix
@@ -65,6 +70,7 @@ from handmap_core.client.messages import Status as Status
 from handmap_core.client.messages import Step as Step
 from handmap_core.client.messages import Stop as Stop
 from handmap_core.client.messages import Subscribe as Subscribe
+from handmap_core.client.messages import Touch as Touch
 from handmap_core.client.messages import Upright as Upright
 from handmap_core.client.messages import Value as Value
 from handmap_core.client.messages import Values as Values

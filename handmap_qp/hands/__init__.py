@@ -56,6 +56,7 @@ from .fingers import (
 from .follower_limits import Interval, clipped_rule
 from .hand import Hand, Points
 from .human import HUMAN_JOINTS, LARGEST_ROLL, HumanLengths
+from .joint_fingers import finger_by_joint as finger_by_joint
 from .library import (
     HUMAN_HANDS,
     ROBOT_FILES,

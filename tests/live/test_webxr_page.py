@@ -217,6 +217,71 @@ def test_a_page_asks_for_the_services_clock(tmp_path: Path) -> None:
         assert request.watchdog == usual["watchdog"]
 
 
+# A controller without a hand, and one of the left hand with the older actuators, keep their pulses.
+_GAMEPADS = """
+window.pulses = { both: [], left: [] };
+const rumble = { playEffect: (kind, effect) => {
+  pulses.both.push([kind, effect.strongMagnitude, effect.duration]);
+  return Promise.resolve("complete");
+} };
+const buzz = { pulse: (value, time) => {
+  pulses.left.push([value, time]);
+  return Promise.resolve(true);
+} };
+navigator.getGamepads = () => [
+  null, { hand: "", vibrationActuator: rumble }, { hand: "left", hapticActuators: [buzz] }];
+"""
+
+
+def test_what_the_robot_feels_is_shown_and_vibrates(
+    browser: Browser, server: Server
+) -> None:
+    start(
+        browser, server, more=_GAMEPADS, words="?right=three_finger&left=allegro_left"
+    )
+    wait_until(lambda: "webxr-right" in sessions(server), "no session opens")
+    values = (
+        "[...document.querySelectorAll('#right .haptics meter')].map((m) => m.value)"
+    )
+    with client_of(server) as driver:
+        driver.watch("webxr-right")
+
+        def feel(force: float) -> None:
+            driver.touch(forces={"thumb": force, "index": 0.05})
+
+        def is_shown(strength: float) -> bool:
+            feel(0.1 + 4.9 * strength)
+            shown = browser.evaluate(values)
+            return len(shown) == 2 and bool(np.allclose(shown, [strength, 0.0]))
+
+        wait_until(lambda: is_shown(0.5), "no force is shown")
+        wait_until(
+            lambda: feel(2.55) or browser.evaluate("pulses.both.length"), "no pulse"
+        )
+        kind, strength, duration = browser.evaluate("pulses.both.at(-1)")
+        assert (kind, round(strength, 6), duration) == ("dual-rumble", 0.5, 100)
+        # More than the largest force is felt as the largest.
+        driver.touch(forces={"thumb": 400.0, "index": 0.0})
+        wait_until(
+            lambda: (
+                driver.touch(forces={"thumb": 400.0})
+                or browser.evaluate("pulses.both.at(-1)[1]") == 1.0
+            ),
+            "no strongest pulse",
+        )
+        # The left hand's controller does not feel the right hand's robot.
+        assert browser.evaluate("pulses.left") == []
+    # The driver has ended: bars vanish, and pulses with them.
+    wait_until(
+        lambda: browser.evaluate("document.querySelector('#right .haptics').hidden"),
+        "bars of a driver that has ended stay",
+    )
+    count = browser.evaluate("pulses.both.length")
+    browser.evaluate("new Promise((done) => setTimeout(done, 300))")
+    assert browser.evaluate("pulses.both.length") == count
+    click(browser, "#end")
+
+
 def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:
     start(browser, server, words="?right=svh_right")
     show_hands(browser, "right", "left")

@@ -22,7 +22,7 @@ from .calls import (
     request_fields,
     sample_request,
 )
-from .messages import Error, Lengths, Opened, Side
+from .messages import Error, Haptics, Lengths, Opened, Side
 
 
 class AsyncClient(Calls):
@@ -363,6 +363,45 @@ class AsyncClient(Calls):
             another client and not shared; None if no refusal has arrived.
         """
         return await self._run(self._tell({"type": "measured", "measured_q": q}))
+
+    async def touch(
+        self,
+        *,
+        forces: Mapping[str, float] | None = None,
+        efforts: Mapping[str, float] | None = None,
+        time: float = 0.0,
+    ) -> Error | None:
+        """Say what the fingers of the robot feel, without waiting for an answer.
+
+        Say it at least every 0.1 s: what is older than 0.2 s no longer counts.
+
+        Args:
+            forces: Contact force of fingers by name [N].
+            efforts: Load of fingers by name, as a share of the largest, 0 to 1.
+            time: Time stamp of the sender [s].
+
+        Returns:
+            Why the server refused an earlier call; None if no refusal has arrived.
+        """
+        given = {"type": "touch", "forces": forces, "efforts": efforts, "time": time}
+        return await self._run(self._tell(request_fields(given), "touches"), "touches")
+
+    async def haptics(self, timeout: float = 0.0) -> Haptics | None:
+        """Return what the fingers of the robot feel, in the session opened or watched.
+
+        The first call subscribes. Call it at least every 0.2 s: what may have waited longer is left
+        out.
+
+        Args:
+            timeout: Longest time to wait for it [s].
+
+        Returns:
+            None if nothing has arrived since the last call, nor arrives in time.
+
+        Raises:
+            RuntimeError: If this client neither opened nor watches a session.
+        """
+        return await self._run(self._haptics(timeout), "haptics")
 
     async def engage(self) -> None:
         """Engage, or engage again: the next sample is the reference.

@@ -19,11 +19,14 @@ import zmq.auth
 
 from . import messages
 from .messages import (
+    HAPTICS_END,
+    HAPTICS_LIFE,
     PROTOCOL,
     PROTOCOLS,
     TOPIC_END,
     Done,
     Error,
+    Haptics,
     Opened,
     Pose,
     Reply,
@@ -42,7 +45,7 @@ Request = dict[str, Any]
 Socket = zmq.Socket[Any]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
-Use = Literal["requests", "samples", "stream"]
+Use = Literal["requests", "samples", "stream", "haptics", "touches"]
 Call = Coroutine[Any, Any, T]
 
 
@@ -103,7 +106,9 @@ def _plain(value: Any) -> Any:
 
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
-_DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
+_DECODE = msgspec.msgpack.Decoder(
+    Opened | Command | State | Haptics | Done | Error
+).decode
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
@@ -183,6 +188,8 @@ class Calls:
         self._last_command: messages.Command | None = None
         self._open_request: Request = {}  # as it must be repeated to reopen the session
         self._addressee: Request = {"session": ""}  # or the name of a watched session
+        self._stream_of = ("", 0)  # name of the session, port of its stream
+        self._felt_at = 0.0  # time of the last look at the haptics [s, monotonic]
         self._released_at = 0  # number of the last request that changed `is_released`
 
     async def _is_ready(self, socket: Socket, event: int, milliseconds: int) -> bool:
@@ -222,10 +229,13 @@ class Calls:
             await self._reopen(monotonic() + self.timeout)
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
-    async def _tell(self, request: Request) -> Error | None:
-        """Send a request without waiting for its answer; return the refusal of an earlier one."""
-        reply = await self._read("samples", 0.0)
-        await self._io("samples", _ENCODE(self._numbered(request)), 0.0)
+    async def _tell(self, request: Request, use: Use = "samples") -> Error | None:
+        """Send a request without waiting for its answer; return the refusal of an earlier one.
+
+        A newer request for the same use may replace it before it is sent.
+        """
+        reply = await self._read(use, 0.0)
+        await self._io(use, _ENCODE(self._numbered(request)), 0.0)
         return reply if isinstance(reply, Error) else None
 
     async def _latest(self, timeout: float) -> Command | None:
@@ -242,6 +252,22 @@ class Calls:
             if reply or monotonic() >= until:
                 return reply if isinstance(reply, Command) else None
         return None
+
+    async def _haptics(self, timeout: float) -> Haptics | None:
+        if "stream" not in self._sockets:
+            raise RuntimeError("open a session first, or watch one")
+        if "haptics" not in self._sockets:
+            # Only who asks for haptics receives them.
+            name, port = self._stream_of
+            host = self.address.rpartition(":")[0]
+            socket = self._socket("haptics", zmq.SUB, f"{host}:{port}")
+            socket.setsockopt(zmq.SUBSCRIBE, (name + HAPTICS_END).encode() + TOPIC_END)
+        elif monotonic() - self._felt_at > HAPTICS_LIFE:
+            # What waits may have arrived long ago.
+            await self._read("haptics", 0.0)
+        reply = await self._read("haptics", monotonic() + timeout)
+        self._felt_at = monotonic()
+        return reply if isinstance(reply, Haptics) else None
 
     async def _watch(self, name: str) -> State:
         if self.opened is not None:
@@ -329,7 +355,7 @@ class Calls:
         payload = await self._io(use, None, until)
         if payload is None:
             return None
-        if use == "stream":
+        if use in ("stream", "haptics"):
             payload = payload.split(TOPIC_END, 1)[1]
         reply = _DECODE(payload)
         last = self._last_command
@@ -375,6 +401,8 @@ class Calls:
     def _subscribe(self, name: str, port: int) -> None:
         """Read the stream of a session from its next command on."""
         self._drop("stream")
+        self._drop("haptics")
+        self._stream_of = name, port
         host = self.address.rpartition(":")[0]
         stream = self._socket("stream", zmq.SUB, f"{host}:{port}")
         stream.setsockopt(zmq.SUBSCRIBE, name.encode() + TOPIC_END)

@@ -42,6 +42,14 @@ Length = Annotated[float, Meta(gt=0.0, le=1.0)]
 Gap = Annotated[float, Meta(ge=0.0, le=0.04)]
 Confidence = Annotated[float, Meta(ge=0.0, le=1.0)]
 Side = Literal["right", "left"]
+Forces = Annotated[
+    dict[Short, Annotated[float, Meta(ge=0.0, le=LARGEST)]], Meta(max_length=32)
+]
+Efforts = Annotated[dict[Short, Confidence], Meta(max_length=32)]
+HAPTICS_END = "/haptics"
+"""Follows a session's name in the topic of its haptics; no name of a session has a slash."""
+HAPTICS_LIFE = 0.2
+"""Time after which haptics no longer count [s]: a robot whose driver ends must not be felt."""
 Duration = Annotated[float, Meta(ge=0.0, le=3600.0)]
 Matrix = tuple[tuple[float, ...], ...]
 Options = dict[str, Any]
@@ -510,6 +518,26 @@ class Measured(Named):
     measured_q: Angles
 
 
+class Touch(Named):
+    """What the fingers of the robot feel, as its driver or a simulation measures it.
+
+    The server keeps nothing of it: who subscribed to the session's haptics gets `haptics`. The
+    session's owner and supervisors may say it by their keys, and everyone if the session is shared.
+    Say it again within 0.2 s, or it no longer counts. `forces` or `efforts` is required; fingers
+    that are not named feel nothing.
+
+    Attributes:
+        time: Time stamp of the sender [s].
+        forces: Contact force of fingers by name [N], at least 0. A robot with two hands has names
+            such as `left.thumb`.
+        efforts: Load of fingers by name, as a share of the largest, 0 to 1.
+    """
+
+    time: Stamp = 0.0
+    forces: Forces | None = None
+    efforts: Efforts | None = None
+
+
 class Status(Named):
     """Ask for the state of a session; of the server without one. The answer is `state`."""
 
@@ -523,9 +551,11 @@ class Subscribe(Request):
 
     Attributes:
         name: Public name of a session.
+        stream: Its commands, or its haptics.
     """
 
     name: Name
+    stream: Literal["commands", "haptics"] = "commands"
 
 
 class Reply(Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
@@ -814,6 +844,24 @@ class State(Reply):
     busy: Names = ()
 
 
+class Haptics(Reply):
+    """What the fingers of a robot feel, in the stream of its session's haptics.
+
+    It no longer counts 0.2 s after it arrived.
+
+    Attributes:
+        name: Public name of the session.
+        time: Time stamp of the sender [s].
+        forces: Contact force of fingers by name [N].
+        efforts: Load of fingers by name, 0 to 1.
+    """
+
+    name: str
+    time: float = 0.0
+    forces: dict[str, float] = {}
+    efforts: dict[str, float] = {}
+
+
 class Done(Reply):
     """The server carried the request out."""
 
@@ -834,7 +882,7 @@ class Error(Reply):
     protocols: tuple[int, ...] = ()
 
 
-AnyReply = Opened | Command | State | Done | Error
+AnyReply = Opened | Command | State | Haptics | Done | Error
 AnyRequest = (
     Open
     | Step
@@ -848,6 +896,7 @@ AnyRequest = (
     | Configure
     | Reset
     | Measured
+    | Touch
     | Status
     | Close
     | Subscribe

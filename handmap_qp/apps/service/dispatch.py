@@ -18,6 +18,7 @@ from msgspec import structs
 
 from handmap_core.client import messages
 from handmap_core.client.messages import (
+    HAPTICS_END,
     LARGEST,
     NAME,
     AnyReply,
@@ -42,10 +43,12 @@ from handmap_core.client.messages import (
     Step,
     Stop,
     Subscribe,
+    Touch,
 )
 from handmap_core.errors import RefusedError
 from handmap_qp.hands import Names
 from .fairness import AccountBuckets
+from .haptics import haptics_of, stream_of
 from .load import LoadMeter
 from .logs import Throttle, report
 from .refused import Refusals
@@ -426,6 +429,9 @@ class Dispatcher:
                 self._receive_sample(request, send)
             case Step() if self.schedule is not None:
                 self._wait(request, payload, send, self.schedule)
+            case Touch():
+                # It does not move the robot, so that its order does not matter.
+                send(self._attempt(self._touch, request))
             case Stop() | Disengage():
                 self._overtake(request)
                 send(self._attempt(self._answer, request, payload))
@@ -566,7 +572,7 @@ class Dispatcher:
                 "connect a SUB socket to the stream's port instead",
                 field="type",
             )
-        subscribe(request.name)
+        subscribe(stream_of(request))
 
     def _answer(self, request: AnyRequest, payload: bytes) -> AnyReply | None:
         """Answer a request at once; repeat the last answer if a session's client repeats itself."""
@@ -595,7 +601,7 @@ class Dispatcher:
         by = self._by
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
-        free = Status | Stop | Clear | Measured if may_clear else Status | Stop
+        free = Status | Stop | Clear | Measured | Touch if may_clear else Status | Stop
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")
@@ -656,6 +662,9 @@ class Dispatcher:
                 return None
             case Measured():
                 session.measure(request, now)
+                return None
+            case Touch():
+                self._feel(request, session)
                 return None
         self._change(request, session, now)
         event = type(request).__name__.lower()
@@ -740,6 +749,18 @@ class Dispatcher:
         encoded = encode_reply(command)
         self._published = command, encoded
         self.sessions.send(session.name, encoded)
+
+    def _touch(self, request: Touch) -> AnyReply | None:
+        """Pass on what fingers feel; numbers of samples do not become stale by it."""
+        if request.name is not None:
+            return self._by_name(request)
+        self._feel(request, self.sessions.find(request.session, self._by))
+        return None
+
+    def _feel(self, request: Touch, session: Session) -> None:
+        """Pass on what fingers feel to who subscribed to it."""
+        haptics = haptics_of(request, session.name, session.robot)
+        self.sessions.send(session.name + HAPTICS_END, encode_reply(haptics))
 
     def _failure(self, seq: int, error: Exception) -> Error:
         """Return the error to answer with; log an unexpected one."""

@@ -63,6 +63,7 @@ from .dispatch import (
     decode_request,
     encode_reply,
 )
+from .haptics import stream_of
 from .load import LoadMeter
 from .logs import AuditLog, Metrics, Numbers, log, report, resident_bytes
 from .refused import Refusals
@@ -583,7 +584,7 @@ class WorkerPool:
         message = "connect a SUB socket to the stream's port instead"
         if subscribe is None:
             raise RefusedError("invalid", message, field="type")
-        subscribe(request.name)
+        subscribe(stream_of(request))
         return Done(seq=request.seq)
 
     def _receive_open(

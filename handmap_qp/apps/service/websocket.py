@@ -203,8 +203,10 @@ class WebSocketTransport:
     def _subscribe(self, connection: "_Connection", form: "_Form", name: str) -> None:
         if len(connection.streams) >= MOST_SESSIONS:
             # Forget ended sessions: they could return under their names, but there is no end.
-            for ended in connection.streams.keys() - {*self.backend.names}:
-                del connection.streams[ended]
+            names = {*self.backend.names}
+            for stream in tuple(connection.streams):
+                if stream.partition("/")[0] not in names:
+                    del connection.streams[stream]
         connection.streams[name] = form
 
     def _publish(self, name: str, payload: bytes) -> None:

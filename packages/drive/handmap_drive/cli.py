@@ -22,10 +22,11 @@ from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, expect, warn
-from handmap_qp.hands import load_hand
+from handmap_qp.hands import finger_by_joint, load_hand
 from handmap_qp.output_files import check_output
 from .drive import HOTTEST, Loop
 from .driver import Driver
+from .loads import FingerLoads
 from .recorder import Recorder
 from .running import Effort, MotorsFile, effort_of, find_driver, stopping
 from .space import Space, Vector
@@ -33,6 +34,20 @@ from .tuning import Compensated, read_tuning
 
 _HELD = 0.25
 """Time since the last key but one in which a key counts as held [s]: terminals repeat it sooner."""
+
+
+def finger_loads(client: Client, driver: Driver) -> FingerLoads:
+    """Return what turns torques of a driver into loads of the watched robot's fingers.
+
+    Raises:
+        InvalidInputError: If the robot has several hands, or no motor belongs to a finger.
+    """
+    about = client.status().about
+    assert about is not None
+    fingers = finger_by_joint(load_hand(about["robot"]))
+    is_any = any(name in fingers for name in driver.joint_names)
+    expect(is_any, "--haptics", "motors of fingers that the hand names")
+    return FingerLoads(driver.joint_names, fingers)
 
 
 @contextmanager
@@ -155,6 +170,8 @@ class Drive:
             and commanded angles, and with --tuning torques [N m].
         task: What is done, in words, for the log.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
+        haptics: Say the load of each finger to the session, which must be shared or your own: the
+            page of a headset shows it.
         json: Print the summary as one JSON object instead of a table.
     """
 
@@ -173,6 +190,7 @@ class Drive:
     log: Annotated[Path | None, hinted("FILE.npz", "(default: none)")] = None
     task: str = ""
     keys: KeyFiles = None
+    haptics: bool = False
     json: bool = False
 
     def run(self) -> None:
@@ -201,7 +219,10 @@ class Drive:
             if self.tuning:
                 tell_stiffness(client, self.tuning)
             recorder = Recorder(driver.joint_names) if log else None
-            loop = Loop(driver, command, effort, self.temperature, joints, recorder)
+            loads = finger_loads(client, driver) if self.haptics else None
+            loop = Loop(
+                driver, command, effort, self.temperature, joints, recorder, loads
+            )
             try:
                 with stopping(driver) as over:
                     loop.run(client, is_held, over)

@@ -15,6 +15,7 @@ from handmap_qp.hands import Values
 from .driver import Driver, DriverError, check_places, insisting
 from .gate import Gate
 from .joint_map import Direct, JointMap
+from .loads import FingerLoads
 from .recorder import Recorder
 
 SILENCE = 0.08
@@ -97,6 +98,7 @@ class Loop:
         hottest: Largest temperature of a motor [degrees Celsius].
         joints: Maps joints to motors; joints do what motors are commanded if omitted.
         recorder: Keeps what joints do while they follow; nothing is kept if omitted.
+        loads: Loads of fingers, which the session is told; it is told none if omitted.
 
     Attributes:
         state: What the loop does with the motors.
@@ -114,9 +116,11 @@ class Loop:
         hottest: float,
         joints: JointMap | None = None,
         recorder: Recorder | None = None,
+        loads: FingerLoads | None = None,
     ) -> None:
         self._driver = driver
         self._recorder = recorder
+        self._loads = loads
         self._gate = Gate(driver)
         self._joints = joints or Direct(driver)
         self._effort = effort
@@ -178,6 +182,8 @@ class Loop:
             # Joints that were not read now are not reported as fresh.
             if self._is_read:
                 self._tell(client, monotonic())
+                if self._loads:
+                    client.touch(efforts=self._loads.of(self._torque), time=monotonic())
 
     def _tell(self, client: Client, now: float) -> None:
         """Say where the joints are, at a time [s, monotonic].

@@ -2,6 +2,7 @@
 // to the service.
 
 import { HandSession, RobotSession, Service } from "./service.js";
+import { Haptics } from "./haptics.js";
 import { Robots } from "./robots.js";
 import { Scene } from "./scene.js";
 import { Tracking } from "./tracking.js";
@@ -41,6 +42,7 @@ const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
 let modes = null;
 let failure = "";
 
+new Haptics(cards, sessionOf, () => tracking.session);
 service.sessions.push(both.session);
 both.select.onchange = () => { both.unknown = ""; chooseAll(); };
 

@@ -38,6 +38,7 @@ export class HandSession {
     this.heard = performance.now(); // time of the newest reply [ms]
     this.delay = null; // from the time stamp of a sample to its command [ms]
     this.fist = null; // how long the robot takes for a fist; servers before it do not say
+    this.haptics = null; // what the robot's fingers feel, and when that arrived
     this.error = "";
     this.skipped = this.attempts = 0;
   }
@@ -112,6 +113,7 @@ export class HandSession {
       this.fist = reply.fist ?? null;
       this.last ??= { q: reply.q, wrist: null, status: "waiting", flags: [] };
       this.service.ask({ type: "subscribe", name: this.name }, this);
+      this.service.ask({ type: "subscribe", name: this.name, stream: "haptics" }, this);
     } else if (reply.type === "command") {
       this.last = reply;
       this.isReleased = reply.flags.includes("released");
@@ -219,6 +221,11 @@ export class Service extends EventTarget {
 
   receive(reply) {
     const sender = this.senders[reply.seq % REMEMBERED];
+    if (reply.type === "haptics") {
+      const session = this.sessions.find(({ name }) => name === reply.name);
+      if (session) session.haptics = { ...reply, arrived: performance.now() };
+      return;
+    }
     if (reply.type === "command") {
       this.sessions.find((session) => session.name === reply.name)?.receive(reply);
     } else if (reply.type === "state" && !sender) {

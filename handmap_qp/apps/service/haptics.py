@@ -1,0 +1,48 @@
+"""What the fingers of a robot feel, on its way from a driver to who subscribed to it."""
+
+from handmap_core.client.messages import HAPTICS_END, Haptics, Subscribe, Touch
+from handmap_qp.hands import Hand, Names
+from .safety import refuse_if
+
+
+def finger_names(robot: Hand) -> Names:
+    """Return the fingers of a robot hand as haptics name them.
+
+    Args:
+        robot: The hand, or hands that are moved as one; their names begin with the side.
+    """
+    return tuple(
+        dict.fromkeys(
+            f"{hand.side}.{point.finger}" if robot.parts else str(point.finger)
+            for hand in robot.hands
+            for point in hand.reference_points
+            if point.finger is not None
+        )
+    )
+
+
+def haptics_of(request: Touch, name: str, robot: Hand) -> Haptics:
+    """Return the message for who subscribed to a session's haptics.
+
+    Args:
+        request: What a driver says.
+        name: Public name of the session.
+        robot: Its robot.
+
+    Raises:
+        RefusedError: If it names a finger that the robot does not have, or nothing at all.
+    """
+    is_empty = request.forces is None and request.efforts is None
+    refuse_if(is_empty, "expected forces or efforts by finger", "forces")
+    known = finger_names(robot)
+    forces, efforts = request.forces or {}, request.efforts or {}
+    for field, values in (("forces", forces), ("efforts", efforts)):
+        for finger in values:
+            message = f"no finger {finger!r}; there are {', '.join(known)}"
+            refuse_if(finger not in known, message, f"{field}.{finger}")
+    return Haptics(name=name, time=request.time, forces=forces, efforts=efforts)
+
+
+def stream_of(request: Subscribe) -> str:
+    """Return the name of the stream that a client subscribes to."""
+    return request.name + (HAPTICS_END if request.stream == "haptics" else "")
