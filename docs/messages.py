@@ -67,12 +67,12 @@ class Stopping(NamedTuple):
 STOPPING = (
     Stopping(
         "hold",
-        "the software, where samples stay away or make no sense, joints do not follow, the hand is "
-        "not measured yet, or the QP has no answer",
-        "keeps its posture; with `return_after` it goes to rest where samples stay away",
-        "the next sample that makes sense; with `resume=engage`, that is a new reference; "
-        "`not_following`: engage; `calibrating`: 30 samples are measured; `failed`: the next "
-        "sample for which the QP has an answer",
+        "the software, if samples are missing or invalid, joints do not follow, the hand is not "
+        "measured yet, or the QP has no solution",
+        "keeps its posture; with `return_after` it goes to rest if samples are missing",
+        "the next valid sample, which is a new reference with `resume=engage`; `not_following`: "
+        "engage; `calibrating`: 30 samples are measured; `failed`: the next sample for which the "
+        "QP has a solution",
         (),
         (),
         ("hold", "returning", "not_following", "calibrating"),
@@ -81,7 +81,7 @@ STOPPING = (
     Stopping(
         "disengage",
         "the session's owner; in a shared session everyone who is admitted",
-        "keeps its posture, whatever samples say",
+        "keeps its posture and ignores samples",
         "engage",
         ("disengage",),
         ("release",),
@@ -91,7 +91,7 @@ STOPPING = (
     Stopping(
         "emergency stop",
         "everyone who is admitted, for every session",
-        "brakes and keeps its posture, whatever comes",
+        "brakes, keeps its posture and ignores samples",
         "`clear` with the number of the stop, which disengages",
         ("stop", "clear"),
         (),

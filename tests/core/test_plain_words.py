@@ -15,7 +15,6 @@ BACKGROUND = {
     "measurements",
     "reading",
     "release",
-    "score",
     "simulation_results",
     "theory",
 }
