@@ -242,7 +242,7 @@ def test_looking_for_another_way_takes_few_qps() -> None:
     assert costs.mean() < 2.7
     # Those of the hand and of its look ahead.
     assert costs.max() <= 6 + 8
-    assert queries.max() < 800
+    assert queries.max() < 80
 
 
 def test_the_worst_sample_is_bounded(recordings: Path) -> None:
@@ -258,8 +258,8 @@ def test_the_worst_sample_is_bounded(recordings: Path) -> None:
         work.append((ik.costs, ik.queries))
     costs, queries = np.diff(work, axis=0).T
     assert costs.max() <= 6 + 8
-    # Those of the rows, and of the proofs, which may measure 700 and 500.
-    assert queries.max() < 1200
+    # A proof measures what no direction shows to stay apart; it may measure 700 and 500.
+    assert queries.max() < 150
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "hey5"])

@@ -92,6 +92,25 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
             assert is_clear
 
 
+def test_one_displacement_over_the_whole_range_never_passes_a_link(case: Case) -> None:
+    # Without a limit of acceleration, and in a long time, a command may lead anywhere.
+    rng, hand = np.random.default_rng(17102), case.hand
+    ik = PointIk(hand, IkOptions(max_acceleration=None), contacts=case.pairs)
+    moves, reached, nearest = 0, 0, np.inf
+    while moves < 200:
+        start, goal = (hand.configuration_vector(case.random_q(rng)) for _ in range(2))
+        if case.nearest(start) < 1e-3:
+            continue
+        goal = start + rng.choice([0.1, 0.3, 1.0]) * (goal - start)
+        ik.place(start)
+        reached += ik.gate.advance(goal, 100.0)
+        end = ik.gate.motion.q
+        nearest = min(nearest, case.nearest(end), case.nearest_between(start, end))
+        moves += 1
+    assert reached > 20
+    assert nearest > 0.0
+
+
 def test_the_rows_of_what_met_cut_off_the_way_on_which_it_met(case: Case) -> None:
     rng, limit, hand = np.random.default_rng(5), case.limit(), case.hand
     configuration, cut = hand.configuration(), []

@@ -27,7 +27,7 @@ constexpr double kSample = 0.1;
 // QPs that are foreseen in a second, and in one sample at most, of one hand; none in a sample that has
 // measured so many distances. A look that has not ended after this time is given up [s].
 constexpr double kForeseen = 800.0, kForeseenAtOnce = 8.0;
-constexpr std::int64_t kMostDistances = 500;
+constexpr std::int64_t kMostDistances = 250;
 constexpr double kLongestLook = 1.0;
 // Time until the hand looks ahead again: after a detour, and where none is known [s].
 constexpr double kAgain = 0.1, kLater = 0.2;

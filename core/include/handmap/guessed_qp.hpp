@@ -33,9 +33,17 @@ class GuessedQp {
       if (!free_wrong()) return true;
     }
     fixed_.assign(n, 0);
-    const bool has_found = qp_.solve(n, H, c, lower, upper, rows, G, h, are_factored());
+    list_free();
+    const bool has_found = qp_.solve(n, H, c, lower, upper, rows, G, h, are_factored(), expected());
+    note_active();
     x = qp_.x;
     return has_found;
+  }
+
+  // Rows are others from now on: which of them are active is not known.
+  void forget_rows() {
+    active_rows_.clear();
+    bounds_.clear();
   }
 
   // Whether a row holds the minimum.
@@ -61,14 +69,9 @@ class GuessedQp {
   bool solve_rest() {
     const auto& [n, H, c, lower, upper, rows, G, h] = problem_;
     x.assign(n, 0.0);
-    free_.clear();
-    for (int i = 0; i < n; ++i) {
-      if (fixed_[i] == 0) {
-        free_.push_back(i);
-      } else {
-        x[i] = fixed_[i] < 0 ? lower[i] : upper[i];
-      }
-    }
+    list_free();
+    for (int i = 0; i < n; ++i)
+      if (fixed_[i] != 0) x[i] = fixed_[i] < 0 ? lower[i] : upper[i];
     find_slope();
     const int count = static_cast<int>(free_.size());
     if (count == 0) return false;
@@ -88,13 +91,44 @@ class GuessedQp {
       h_[r] = h[r] - Qp::dot(g, x.data(), n);
       for (int a = 0; a < count; ++a) G_[r * count + a] = g[free_[a]];
     }
-    if (!qp_.solve(count, H_.data(), c_.data(), lower_.data(), upper_.data(), rows, G_.data(),
-                   h_.data(), are_factored()) ||
-        qp_.leaves_any())
-      return false;
+    const bool has_found = qp_.solve(count, H_.data(), c_.data(), lower_.data(), upper_.data(), rows,
+                                     G_.data(), h_.data(), are_factored(), expected());
+    note_active();
+    if (!has_found || qp_.leaves_any()) return false;
     for (int a = 0; a < count; ++a) x[free_[a]] = qp_.x[a];
     find_slope();
     return true;
+  }
+
+  // List the coordinates that are not fixed.
+  void list_free() {
+    free_.clear();
+    for (int i = 0; i < problem_.n; ++i)
+      if (fixed_[i] == 0) free_.push_back(i);
+  }
+
+  // The constraints of the free coordinates that were active last, as of `Qp::active`.
+  const std::vector<int>& expected() {
+    const int count = static_cast<int>(free_.size());
+    expected_.clear();
+    for (int a = 0; a < count && !bounds_.empty(); ++a)
+      if (bounds_[free_[a]] != 0) expected_.push_back(bounds_[free_[a]] < 0 ? a : count + a);
+    for (const int r : active_rows_)
+      if (r < problem_.rows) expected_.push_back(2 * count + r);
+    return expected_;
+  }
+
+  // Note which constraints are active, so that the next problem of these rows starts from them.
+  void note_active() {
+    const int count = static_cast<int>(free_.size());
+    active_rows_.clear();
+    bounds_.assign(problem_.n, 0);
+    for (const int k : qp_.active()) {
+      if (k >= 2 * count)
+        active_rows_.push_back(k - 2 * count);
+      else
+        bounds_[free_[k % count]] = static_cast<signed char>(k < count ? -1 : 1);
+    }
   }
 
   // Whether H is factored for the coordinates that are not fixed; it is from now on.
@@ -129,7 +163,8 @@ class GuessedQp {
   Problem problem_;
   Qp qp_;
   std::vector<signed char> fixed_, factored_;
-  std::vector<int> free_;
+  std::vector<signed char> bounds_;  // that were active last: -1 for the lower one, 1 for the upper one
+  std::vector<int> free_, active_rows_, expected_;
   std::vector<double> H_, c_, lower_, upper_, G_, h_, slope_, pressed_;
 };
 

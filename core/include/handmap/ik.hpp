@@ -94,6 +94,7 @@ class Ik : public Gate {
     bounds(interval, speed, lower_, upper_);
     const int n = tree.size;
     bool has_rows = false;
+    qp_.forget_rows();
     if (pairs) {
       start.copy(at);
       pairs->rows(start, dt, margins, motion.displacement, linear_);

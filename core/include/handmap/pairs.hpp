@@ -33,6 +33,10 @@
 //
 //     min(a, b) - (2 |change of n in the world| + 2 C + S) travel / 8.
 //
+// For n any two directions will do, and what the shapes are apart along them. So a direction that stays
+// the same in the world, such as the normal at either end, often shows that a path is clear before its
+// other end, or a point between, is measured.
+//
 // Where that does not suffice, the path is halved, until it does or a point of it is too near.
 //
 // There the rows were wrong: a link that lies flat on another one touches it next wherever it turns
@@ -212,6 +216,9 @@ class Pairs {
     stamps_.assign(size(), -1);
     found_.resize(size());
     warm_.resize(size());
+    ends_known_.resize(size());
+    end_poses_.resize(bounds_->boxes.size());
+    end_changes_.assign(bounds_->boxes.size(), -1);
     keys_.assign(size(), -kInfinity);
     group_of_.resize(size());
     make_chains();
@@ -295,6 +302,7 @@ class Pairs {
   bool is_clear(const Placed& at, const double* step, const Placed& end) {
     go_to(at);
     travel_along(step);
+    go_to_end(end);
     box_lows_.clear();
     lows_.clear();
     ends_.clear();
@@ -317,20 +325,30 @@ class Pairs {
       // Along the normal that was found, it may be shown after all.
       if (is_new && stays_apart(at, end, partings_[k], keys_[k], travel)) return;
       if (before.distance > kKept + travel) return;
-      const Found after = found_at(end, k);
-      ends_.push_back({k, after});
       // Distances count from here on: 0, or what yields may overlap.
       const double floor = -overlap(at, k), room = before.distance - floor;
+      if (!(room > 0.0 || yields(k))) return;
+      Part part;
+      part.pair = k;
+      part.kept = room > 0.0 ? floor + std::min(room, kKept) : before.distance - kNearer;
+      part.between = part.kept - 0.5 * (room > 0.0 ? std::min(room, kKept) : kKept);
+      part.before = before;
+      // The end is measured where neither the normal here nor the last one there shows enough.
+      const double ahead = gap_along(end, k, before.normal);
+      const bool is_shown_ahead = is_shown(before.distance, ahead, part);
+      if (is_shown_ahead && ahead >= part.kept) return;
+      const Vec3 last = end.pose(bodies[pair(k).first].joint).R * ends_known_[k].axis;
+      const double there = gap_along(end, k, last);
+      if (there >= part.kept && is_shown(gap_along(at, k, last), there, part)) return;
+      part.after = found_at_end(end, k);
+      const Found& after = part.after;
+      ends_.push_back({k, after});
       // On a path from a to b, the distance is never below (a + b - travel) / 2.
-      if (!(room > 0.0 || yields(k)) ||
-          !(before.distance + after.distance - travel < kKept + 2.0 * floor))
-        return;
-      const double kept =
-          room > 0.0 ? floor + std::min(room, kKept) : before.distance - kNearer;
-      const double between = kept - 0.5 * (room > 0.0 ? std::min(room, kKept) : kKept);
-      if (after.distance < kept) meet(at, end, k, after);
-      is_clear &= after.distance >= kept;
-      parts_.push_back({0.0, 1.0, k, kept, between, before, after});
+      if (!(before.distance + after.distance - travel < kKept + 2.0 * floor)) return;
+      if (after.distance < part.kept) meet(at, end, k, after);
+      is_clear &= after.distance >= part.kept;
+      if (is_shown_ahead || is_shown(after.distance, gap_along(at, k, after.normal), part)) return;
+      parts_.push_back(part);
     });
     return is_clear && halve(at, step);
   }
@@ -344,6 +362,11 @@ class Pairs {
       const double kept = margins_[place] - overlaps_[r];
       const double nearest = std::min(found_[k].distance, kept) - kNearer;
       if (found_[k].distance - travel_of(k) > nearest) continue;
+      const Vec3& normal = found_[k].normal;
+      // Shapes are at least as far apart as along any direction.
+      if (gap_along(end, k, normal) >= nearest) continue;
+      const int joint = bodies[pair(k).first].joint;
+      if (gap_along(end, k, end.pose(joint).R * tmul(at.pose(joint).R, normal)) >= nearest) continue;
       const Found after = found_at(end, k);
       if (after.distance < nearest) meet(at, end, k, after);
     }
@@ -444,10 +467,17 @@ class Pairs {
     double gap;
   };
   struct Part {
-    double low, high;
+    double low = 0.0, high = 1.0;
     size_t pair;
     double kept, between;  // at points that are measured, and between them
     Found before, after;
+  };
+
+  // What was found of a pair where a path ended, and the normal in the axes of the first one's joint.
+  struct End {
+    Found found;
+    Vec3 axis;
+    long path = -1;
   };
 
   // Points of a pair that met, where the path began.
@@ -613,8 +643,17 @@ class Pairs {
       if (!(length > 0.0)) return -kInfinity;
       parting.set((1.0 / length) * apart);
     }
-    const Vec3 axis = pose_a.R * parting.axis, axis_b = tmul(pose_b.R, axis);
-    return dot(axis, pose_b.p - pose_a.p) - parting.reach - reach_of(b, -axis_b);
+    return gap_along(at, a, b, parting.axis, parting.reach);
+  }
+
+  // The distance of two bodies along a direction in the axes of the first one's joint, from which the
+  // first one reaches so far.
+  template <class Thing>
+  static double gap_along(const Placed& at, const Thing& a, const Thing& b, const Vec3& axis,
+                          double reach) {
+    const Pose &pose_a = at.pose(a.joint), &pose_b = at.pose(b.joint);
+    const Vec3 ahead = pose_a.R * axis, axis_b = tmul(pose_b.R, ahead);
+    return dot(ahead, pose_b.p - pose_a.p) - reach - reach_of(b, -axis_b);
   }
 
   // Likewise where the robot is.
@@ -666,11 +705,33 @@ class Pairs {
     key = std::max(key, before + so_far);
     const double low = key - so_far, nearest = std::min(before, after);
     if (low > enough || low + after >= enough) return true;
-    if (nearest < kKept) return false;
+    if (before < kKept) return false;
     const int joint = parting.a->joint;
-    const Vec3 change = end.pose(joint).R * parting.axis - at.pose(joint).R * parting.axis;
+    const Vec3 axis = at.pose(joint).R * parting.axis;
     const double bend = bend_of(groups_[parting.group].begin);  // as of all its pairs
-    return nearest - dip(change, 1.0, travel, bend) >= kKept;
+    const Vec3 change = end.pose(joint).R * parting.axis - axis;
+    if (nearest - dip(change, 1.0, travel, bend) >= kKept) return true;
+    // The same direction in the world may show it where the first shape turns far.
+    const double there = gap_along(end, *parting.a, *parting.b, axis);
+    return low + there >= enough || std::min(before, there) - dip({}, 1.0, travel, bend) >= kKept;
+  }
+
+  // How far the shapes of a pair are apart along a direction in the world.
+  double gap_along(const Placed& at, size_t k, const Vec3& direction) const {
+    return gap_along(at, bodies[pair(k).first], bodies[pair(k).second], direction);
+  }
+  template <class Thing>
+  static double gap_along(const Placed& at, const Thing& a, const Thing& b, const Vec3& direction) {
+    const Vec3 axis = tmul(at.pose(a.joint).R, direction);
+    return gap_along(at, a, b, axis, reach_of(a, axis));
+  }
+
+  // Whether a part of a path is shown to be clear by what shapes are apart at its ends along a direction
+  // that stays the same in the world.
+  bool is_shown(double gap, double other, const Part& part) const {
+    const double length = part.high - part.low, travel = travel_of(part.pair);
+    if (gap + other - length * travel >= 2.0 * part.between) return true;
+    return std::min(gap, other) - dip({}, length, travel, bend_of(part.pair)) >= part.between;
   }
 
   // How far below its ends a distance may be on a part of a path; see the top of this file.
@@ -689,6 +750,29 @@ class Pairs {
   const Found& found(const Placed& at, size_t k) {
     if (stamps_[k] != stamp_) know(at, k, found_at(at, k));
     return found_[k];
+  }
+
+  // Likewise where the last path ends. Of paths that differ in one finger, most pairs end alike.
+  const Found& found_at_end(const Placed& end, size_t k) {
+    End& known = ends_known_[k];
+    const auto [a, b] = bounds_->joints(place(k));
+    if (known.path < 0 || known.path < end_changes_[a + 1] || known.path < end_changes_[b + 1]) {
+      known.found = found_at(end, k);
+      known.axis = tmul(end.pose(a).R, known.found.normal);
+    }
+    known.path = path_;
+    return known.found;
+  }
+
+  // Note which joints end elsewhere than on the last path.
+  void go_to_end(const Placed& end) {
+    ++path_;
+    for (size_t i = 0; i < end_poses_.size(); ++i) {
+      const Pose& pose = end.pose(static_cast<int>(i) - 1);
+      if (!std::memcmp(&pose, &end_poses_[i], sizeof(Pose))) continue;
+      end_poses_[i] = pose;
+      end_changes_[i] = path_;
+    }
   }
 
   Found found_at(const Placed& at, size_t k) {
@@ -788,10 +872,19 @@ class Pairs {
           tree_.integrate(at.q.data(), moved_.data(), reached_.data());
           middle_.place(reached_.data());
         }
+        Part first = part, second = part;
+        first.high = second.low = middle;
+        // A half that is shown to be clear along the normal at its other end needs no measurement.
+        const double ahead = gap_along(middle_, part.pair, part.before.normal);
+        const double back = gap_along(middle_, part.pair, part.after.normal);
+        const bool is_first_shown = is_shown(part.before.distance, ahead, first);
+        const bool is_second_shown = is_shown(part.after.distance, back, second);
+        if (is_first_shown && is_second_shown) continue;
         const Found between = found_at(middle_, part.pair);
         if (between.distance < part.kept) meet(at, middle_, part.pair, between);
-        further_.push_back({part.low, middle, part.pair, part.kept, part.between, part.before, between});
-        further_.push_back({middle, part.high, part.pair, part.kept, part.between, between, part.after});
+        first.after = second.before = between;
+        if (!is_first_shown) further_.push_back(first);
+        if (!is_second_shown) further_.push_back(second);
       }
       if (has_met()) return false;
       std::stable_sort(further_.begin(), further_.end(),
@@ -822,6 +915,10 @@ class Pairs {
   std::vector<size_t> group_of_;  // likewise
   std::vector<char> changed_;
   std::vector<Parting<Body>> partings_;
+  long path_ = 0;                  // number of the last path
+  std::vector<Pose> end_poses_;    // of joints, that of the world first, where the last path ended
+  std::vector<long> end_changes_;  // the path at which each of them changed last
+  std::vector<End> ends_known_;    // of pairs
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<int> row_pairs_;
   std::vector<Warm> warm_;

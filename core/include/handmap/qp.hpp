@@ -30,9 +30,11 @@ class Qp {
   int iterations = 0;
 
   // Return whether a minimum was found; of H, the lower triangle counts. G has `rows` rows, one after
-  // the other. With `is_same_cost`, H and c have the numbers of the last call, which factored H.
+  // the other. With `is_same_cost`, H and c have the numbers of the last call, which factored H. The
+  // constraints `expected` are thought to be active; it costs time if they are not.
   HANDMAP_WIDE bool solve(int n, const double* H, const double* c, const double* lower, const double* upper,
-             int rows, const double* G, const double* h, bool is_same_cost = false) {
+             int rows, const double* G, const double* h, bool is_same_cost = false,
+             const std::vector<int>& expected = {}) {
     n_ = n;
     rows_ = rows;
     lower_ = lower;
@@ -44,6 +46,7 @@ class Qp {
     if (!is_same_cost) has_factors_ = factor();
     if (!has_factors_) return false;
     start();
+    if (!expected.empty()) start_from(expected);
     const int most = 50 + 10 * (n + rows);
     int corrections = 0;
     for (iterations = 0; iterations < most; ++iterations) {
@@ -62,6 +65,10 @@ class Qp {
     }
     return false;
   }
+
+  // The constraints that hold the minimum: i for the lower bound of coordinate i, n + i for the upper one,
+  // 2 n + r for row r.
+  const std::vector<int>& active() const { return active_; }
 
   // Whether a row holds the minimum.
   bool has_active_row() const {
@@ -107,6 +114,8 @@ class Qp {
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
   // A constraint whose normal has less than this share outside the active ones depends on them.
   static constexpr double kDependent = 1e-18;
+  // Of constraints that are expected to be active, those count that have this share outside the others.
+  static constexpr double kIndependent = 1e-8;
   // Violations below this are rounding, relative to the solution or 1.
   static constexpr double kTolerance = 1e-12;
   // Pivots are at least this share of the diagonal.
@@ -170,6 +179,40 @@ class Qp {
     is_active_.assign(2 * n + rows_, 0);
     row_norms_.resize(rows_);
     for (int k = 0; k < rows_; ++k) row_norms_[k] = std::sqrt(dot(G_ + k * n, G_ + k * n, n));
+  }
+
+  // Start from the minimum along constraints that are expected to be active, without those that would
+  // hold it from the wrong side. The method goes on from any such minimum.
+  void start_from(const std::vector<int>& expected) {
+    for (const int k : expected) {
+      const int count = static_cast<int>(active_.size());
+      if (count == n_) break;
+      if (k >= 2 * n_ && !holds_any(k - 2 * n_)) continue;
+      set_normal(k);
+      v_ = w_;
+      leave_active(v_.data());
+      const double free = dot(v_.data(), v_.data(), n_);
+      if (free > kIndependent * dot(w_.data(), w_.data(), n_)) append(k, 0.0, std::sqrt(free));
+    }
+    while (!active_.empty()) {
+      const int count = static_cast<int>(active_.size());
+      x = free_minimum_;
+      restore();
+      // From L^-T N = Q R and the way from the free minimum, L^-1 Q r, multipliers are R^-1 r.
+      for (int i = count - 1; i >= 0; --i) {
+        double sum = r_[i];
+        for (int j = i + 1; j < count; ++j) sum -= R(i, j) * multipliers_[j];
+        multipliers_[i] = sum / R(i, i);
+      }
+      bool is_any_negative = false;
+      for (int i = count - 1; i >= 0; --i) {
+        if (multipliers_[i] >= 0.0) continue;
+        remove(i);
+        is_any_negative = true;
+      }
+      if (!is_any_negative) return;
+    }
+    x = free_minimum_;
   }
 
   // y = L^-T y
