@@ -3,7 +3,8 @@
     python docs/messages.py
 
 A test compares the files, handmap_qp/apps/service/messages.md and .json, with the types. The table
-of what stops a robot is written into docs/safety.md, too.
+of what stops a robot is written into docs/safety.md, too, and that of the statuses, which the page
+of a headset shows, into docs/troubleshooting.md.
 """
 
 from __future__ import annotations
@@ -144,6 +145,9 @@ CODES = {
 """Codes of an error."""
 
 SAFETY = Path(__file__).with_name("safety.md")
+TROUBLESHOOTING = Path(__file__).with_name("troubleshooting.md")
+STATUSES = SCHEMAS["schema"].with_name("webxr") / "statuses.json"
+"""What each status means and what to do; the page reads it, and the documentation."""
 _BEGIN, _END = "<!-- stopping: by docs/messages.py -->", "<!-- end -->"
 """What the table of `STOPPING` is between."""
 
@@ -247,6 +251,19 @@ def safety_text() -> str:
     before, rest = SAFETY.read_text(encoding="utf-8").split(_BEGIN)
     _, after = rest.split(_END)
     return f"{before}{_BEGIN}\n\n{stopping_table()}\n\n{_END}{after.rstrip()}"
+
+
+def troubleshooting_text() -> str:
+    """Return docs/troubleshooting.md with the table of the statuses."""
+    text = TROUBLESHOOTING.read_text(encoding="utf-8")
+    head = "| status | what it means | what to do |\n|---|---|---|\n"
+    before, rest = text.split(head)
+    _, after = rest.split("\n\n", 1)
+    rows = (
+        f"| `{status}` | {each['means']} | {each['do']} |"
+        for status, each in json.loads(STATUSES.read_text(encoding="utf-8")).items()
+    )
+    return f"{before}{head}{chr(10).join(rows)}\n\n{after.rstrip()}"
 
 
 def json_schema() -> str:
@@ -367,6 +384,7 @@ def files() -> dict[Path, str]:
         SCHEMAS["schema"]: schema_text(),
         SCHEMAS["json_schema"]: json_schema(),
         SAFETY: safety_text(),
+        TROUBLESHOOTING: troubleshooting_text(),
     }
 
 

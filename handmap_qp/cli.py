@@ -106,6 +106,7 @@ _MODULES = {
     "robots check": "onboarding.cli",
     "layouts": "offline.layouts_cli",
     "simulate": "simulation.cli",
+    "live": "live.together",
     "serve": "service.cli",
     "keys": "service.cli",
     "track replay": "live.cli",

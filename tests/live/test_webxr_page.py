@@ -29,6 +29,7 @@ from handmap_core.client.messages import Open
 from handmap_core.human.recording import sample_columns
 from handmap_qp import hand_names, load_hand
 from handmap_qp.apps.live.service import ServiceSource
+from handmap_qp.apps.service import pages
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
@@ -38,6 +39,7 @@ from handmap_qp.trackers.layouts.tables import load_layout
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("patient")]
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
+STATUSES = Path(pages.__file__).with_name("webxr") / "statuses.json"
 TOKEN = "a-token-of-the-tests"
 RATE = 30.0
 LAYOUT = load_layout("webxr25")
@@ -536,11 +538,63 @@ def test_every_hand_is_offered_and_missing_ones_say_what_installs_them(
     missing = [
         [name, f"{name} ({reason})", True] for name, reason in missing_hands().items()
     ]
-    assert offered == [
-        ["", "none", False],
-        *([name, name, False] for name in robots),
-        *missing,
+    assert offered[0] == ["", "none", False]
+    everything = [*([name, name, False] for name in robots), *missing]
+    assert sorted(offered[1:]) == sorted(everything)
+
+
+def test_hands_are_grouped_by_family_and_those_to_use_come_first(
+    browser: Browser, server: Server
+) -> None:
+    open_page(browser, server)
+    wait_for_text(browser, "#state", "Ready")
+    service = "import('./families.js').then(({ familyGroups }) => familyGroups"
+    robots, missing = (
+        ["b_left", "b_right", "c", "d_right"],
+        {"a_left": "pip", "a_right": "pip", "d_left": "pip"},
+    )
+    groups = browser.evaluate(
+        f"{service}({json.dumps(robots)}, {json.dumps(missing)}).map((group) =>"
+        " [group.label, Array.from(group.children, ({ value }) => value)]))"
+    )
+    assert groups == [
+        ["b", ["b_left", "b_right"]],
+        ["c", ["c"]],
+        ["d", ["d_right", "d_left"]],
+        ["a: not installed", ["a_left", "a_right"]],
     ]
+
+
+def test_the_page_says_what_every_status_means(
+    browser: Browser, server: Server
+) -> None:
+    open_page(browser, server)
+    browser.wait_for("document.querySelector('#statuses tbody').children.length > 0")
+    shown = browser.evaluate(
+        "Array.from(document.querySelectorAll('#statuses tbody tr'),"
+        " (row) => Array.from(row.children, ({ textContent }) => textContent))"
+    )
+    table = json.loads(STATUSES.read_text(encoding="utf-8"))
+    assert shown == [[name, each["means"], each["do"]] for name, each in table.items()]
+    # A robot that nobody moves yet has its status in words, with what to do.
+    with connected(server, name="lab"):
+        browser.wait_for("document.querySelector('[data-name=lab]') !== null")
+        wait_for_text(browser, "[data-name=lab] .mode", table["waiting"]["means"])
+        wait_for_text(browser, "[data-name=lab] .todo", table["waiting"]["do"])
+    assert browser.errors == []
+
+
+def test_the_stop_works_without_the_table_of_statuses(
+    browser: Browser, server: Server
+) -> None:
+    open_page(browser, server, more="window.fetch = () => Promise.reject(Error());")
+    with connected(server, name="lab", is_shared=True) as lab:
+        wait_for_text(browser, "#scope", "Stops the robot")
+        click(browser, "#stop")
+        wait_until(lambda: lab.status().mode == "stopped")
+        browser.wait_for("document.querySelector('[data-name=lab]') !== null")
+        wait_for_text(browser, "[data-name=lab] .mode", "stopped")
+    assert browser.errors == []
 
 
 @pytest.mark.parametrize("name", ["leap_rigth", *list(missing_hands())[:1]])

@@ -37,7 +37,12 @@ def get(server: Server, path: str) -> tuple[http.client.HTTPResponse, bytes]:
 
 
 def test_every_file_is_served_with_its_type(server: Server) -> None:
-    kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+    kinds = {
+        ".html": "text/html",
+        ".css": "text/css",
+        ".js": "text/javascript",
+        ".json": "application/json",
+    }
     files = list(FILES.iterdir())
     assert {file.suffix for file in files} == set(kinds)
     for file in files:

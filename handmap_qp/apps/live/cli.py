@@ -113,7 +113,7 @@ class Target:
                     upright=source.upright or None,
                 )
             )
-        summary = _send(source, sinks, is_json=self.json)
+        summary = send(source, sinks, is_json=self.json)
         if summary.get("refusals") and not summary["accepted"]:
             raise InvalidInputError(
                 f"the service refused every sample: {summary['last_refusal']}"
@@ -234,11 +234,20 @@ class TrackRecord:
 
         source = ServiceSource(self.source, session=self.session, keys=self.keys)
         recorder.upright = source.upright
-        _send(source, [recorder], is_json=self.json)
+        send(source, [recorder], is_json=self.json)
 
 
-def _send(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
-    """Send samples to sinks until the source ends or Ctrl-C; print and return a summary."""
+def send(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
+    """Send samples to sinks until the source ends or Ctrl-C; print and return a summary.
+
+    Args:
+        source: The samples.
+        sinks: Where each sample goes.
+        is_json: Print the summary as one JSON object instead of a table.
+
+    Returns:
+        The summary, by label.
+    """
     # The state in one line on stderr, if stderr is a terminal.
     line = Console(stderr=True).status("waiting for the first sample")
     with ended_by_signals(), line:

@@ -18,7 +18,12 @@ from handmap_qp.hands import Values
 from .logs import Metrics, websocket_log
 
 _FOLDER = Path(__file__).with_name("webxr")
-_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+_TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".json": "application/json",
+}
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "

@@ -2,6 +2,7 @@
 // to the service.
 
 import { HandSession, RobotSession, Service } from "./service.js";
+import { familyGroups } from "./families.js";
 import { Haptics } from "./haptics.js";
 import { Robots } from "./robots.js";
 import { Scene } from "./scene.js";
@@ -19,17 +20,8 @@ const COLOURS = {
   error: [0.95, 0.45, 0.45],
 };
 
-// What a robot does, in words and as a state of the page, by the mode of its session.
-const MODES = {
-  waiting: ["waiting", "waits for the first sample"],
-  calibrating: ["waiting", "holds while the hand is measured"],
-  following: ["streaming", "follows a hand"],
-  released: ["waiting", "holds until Engage"],
-  hold: ["waiting", "holds: no samples arrive"],
-  returning: ["streaming", "moves to rest: no samples arrive"],
-  not_following: ["waiting", "holds: its joints do not follow"],
-  stopped: ["stopped", "emergency stop: holds until the stop is cleared"],
-};
+// What each status of a robot means and what to do, with a state of the page: `loadStatuses` fills it.
+let statuses = {};
 
 const find = (selector, root = document) => root.querySelector(selector);
 const search = new URLSearchParams(location.search);
@@ -80,15 +72,11 @@ function offerRobots() {
 /** Offer robots in a selection, and choose the wanted one if nothing is chosen yet. */
 function offer(one, robots, missing, usual) {
   const { select } = one;
-  const known = Array.from(select.options, (option) => option.value).slice(1);
-  if (select.options.length && known.join() === [...robots, ...Object.keys(missing)].join()) return;
+  const offered = [...robots, "", ...Object.keys(missing)].join();
+  if (one.offered === offered) return;
+  one.offered = offered;
   const wanted = select.value || usual;
-  const disabled = Object.entries(missing).map(([name, reason]) => {
-    const option = new Option(`${name} (${reason})`, name);
-    option.disabled = true;
-    return option;
-  });
-  select.replaceChildren(new Option("none", ""), ...robots.map((name) => new Option(name)), ...disabled);
+  select.replaceChildren(new Option("none", ""), ...familyGroups(robots, missing));
   select.value = robots.includes(wanted) ? wanted : "";
   const reason = missing[wanted] ?? `the service has no such ${one.kind}`;
   one.unknown = select.value === wanted ? "" : `${wanted}: ${reason}; choose another`;
@@ -236,7 +224,8 @@ function describeScope() {
   const count = robots.states.size;
   if (!service.isConnected) return "Not connected: use the robot's own emergency stop.";
   if (!count) return "No robot is controlled now.";
-  return `Stops ${count === 1 ? "the robot" : `all ${count} robots`} of this service, whoever controls them.`;
+  return count === 1 ? "Stops the robot of this service, whoever controls it."
+    : `Stops all ${count} robots of this service, whoever controls them.`;
 }
 
 /** List the robots, also those that others lead. */
@@ -261,13 +250,42 @@ function makeRobot(name) {
 function refreshRobot(item) {
   const { name } = item.dataset;
   const { about, mode, stop, assumed_speed: assumed } = robots.states.get(name);
-  const [state, words] = MODES[mode] ?? ["off", mode];
+  const { state, means: words } = statuses[mode] ?? { state: "off", means: mode };
   item.dataset.state = state;
   find(".model", item).textContent = about.robot;
   find(".mode", item).textContent = isOwn(name) ? `${words} (controlled by this page)` : words;
+  show(find(".todo", item), adviceOn(mode));
   find(".assumed", item).hidden = !assumed?.is_often;
   find(".assumed", item).textContent = assumed?.is_often ? describeAssumed(assumed) : "";
   find(".clear", item).hidden = !stop || !mayClear(name);
+}
+
+/** What to do about a status; empty if there is nothing to do. */
+function adviceOn(status) {
+  const todo = statuses[status]?.do ?? "nothing";
+  return todo === "nothing" ? "" : `What to do: ${todo}.`;
+}
+
+/** Show a line, or hide it where there is nothing to say. */
+function show(line, words) {
+  line.hidden = !words;
+  line.textContent = words;
+}
+
+/** Read the table of statuses. The page, and its emergency stop, work without it. */
+async function loadStatuses() {
+  const answer = await fetch("statuses.json");
+  if (!answer.ok) return;
+  statuses = await answer.json();
+  find("#statuses tbody").replaceChildren(...Object.entries(statuses).map(([status, { means, do: todo }]) => {
+    const row = document.createElement("tr");
+    row.append(...[status, means, todo].map((words) => {
+      const cell = document.createElement("td");
+      cell.textContent = words;
+      return cell;
+    }));
+    return row;
+  }));
 }
 
 /** What people must know of assumed speeds; the same words as `assumed_note` of the package. */
@@ -295,6 +313,8 @@ function refreshCard(card) {
   const skipped = session.skipped ? `, ${session.skipped} skipped` : "";
   find(".sent", root).textContent = tracking.session ? `${rateOf(card)} Hz${skipped}` : "-";
   find(".robot", root).textContent = last?.status ?? "-";
+  const means = statuses[last?.status]?.means;
+  show(find(".todo", root), means ? `${last.status}: ${means}. ${adviceOn(last.status)}` : "");
   find(".flags", root).textContent = last?.flags.join(", ") || "-";
   find(".delay", root).textContent = session.delay === null ? "-" : `${session.delay.toFixed(0)} ms`;
   find(".hold", root).disabled = !session.isOpen || session.isReleased;
@@ -368,6 +388,7 @@ service.addEventListener("change", () => {
 addEventListener("pagehide", () => service.sessions.forEach((session) => session.lead("")));
 service.token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
 service.connect();
+loadStatuses().then(refresh, () => {});
 Tracking.modes().then((offered) => {
   modes = offered;
   refresh();
