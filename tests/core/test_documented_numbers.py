@@ -30,7 +30,7 @@ SENTENCES = {
     ),
     "palms that meet": Stated(
         "own_hand",
-        "From {} m on, they change to the offset of the person's palms, and have it below {} m.",
+        "it begins below {} m and is complete below {} m.",
         (two_palms.NEAR, two_palms.TOGETHER),
     ),
     "silence of a hand": Stated(
