@@ -226,7 +226,8 @@ def _one_jaw(jaw: str, *, has_shapes: bool) -> str:
 
 
 @pytest.mark.parametrize(
-    ("jaw", "has_shapes"), [("j4", True), ("gripper", True), ("gripper", False)]
+    ("jaw", "has_shapes"),
+    [("j4", True), ("arm_f1x", True), ("gripper", True), ("gripper", False)],
 )
 def test_one_jaw_and_the_fixed_one_are_thumb_and_index(
     tmp_path: Path, jaw: str, has_shapes: bool

@@ -44,6 +44,7 @@ _FINGER = re.compile("finger|thumb|digit|fngr", re.IGNORECASE)
 _ARM_PART = re.compile(
     "shoulder|elbow|wrist|(?<![a-z])arm(?![a-z])|forearm", re.IGNORECASE
 )
+_WRIST = re.compile("wrist|forearm", re.IGNORECASE)
 _LEG_PART = re.compile(
     r"""knee | ankle | thigh | calf | coxa | femur | tibia | tarsus
     | (?<![a-z]) (?: hip | leg | foot ) (?![a-z])""",
@@ -94,8 +95,11 @@ def palm_evidence(names: Iterable[str], above: Iterable[str]) -> float:
 
 
 def names_other_part(joint: str) -> bool:
-    """Return whether a joint is named as one of an arm, a leg or a head, and not of a gripper."""
-    parts = (_ARM_PART, _LEG_PART, _HEAD, _LIMB)
+    """Return whether a joint is named as one of a wrist, a leg or a head, and not of a gripper.
+
+    That it is a part of an arm says nothing: grippers are called so, too (`arm_f1x` of Spot).
+    """
+    parts = (_WRIST, _LEG_PART, _HEAD, _LIMB)
     return not _HAND.search(joint) and any(part.search(joint) for part in parts)
 
 
