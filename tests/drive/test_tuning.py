@@ -249,7 +249,8 @@ def test_a_hand_that_had_no_torque_goes_on_from_where_it_is(
     found: tuple[Simulated, Motion, Tuning],
 ) -> None:
     motors, motion, _ = found
-    ((turn, q),) = sagged
+    # A process that takes tests from others may have tuned the hand twice.
+    turn, q = sagged[-1]
     goal = motors.gain * motion.log().commanded[turn] + motors.zero
     # What it goes in a turn, and what is not known of it.
     assert np.abs(goal - q).max() < 0.03
