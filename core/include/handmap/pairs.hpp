@@ -362,11 +362,10 @@ class Pairs {
       const double kept = margins_[place] - overlaps_[r];
       const double nearest = std::min(found_[k].distance, kept) - kNearer;
       if (found_[k].distance - travel_of(k) > nearest) continue;
-      const Vec3& normal = found_[k].normal;
-      // Shapes are at least as far apart as along any direction.
-      if (gap_along(end, k, normal) >= nearest) continue;
-      const int joint = bodies[pair(k).first].joint;
-      if (gap_along(end, k, end.pose(joint).R * tmul(at.pose(joint).R, normal)) >= nearest) continue;
+      // Shapes are at least as far apart as along any direction: the normal at the start, as it is in
+      // the world, and as the first shape carries it.
+      if (gap_along(end, k, found_[k].normal) >= nearest) continue;
+      if (gap(end, partings_[k]) >= nearest) continue;
       const Found after = found_at(end, k);
       if (after.distance < nearest) meet(at, end, k, after);
     }
