@@ -48,6 +48,7 @@ from .fingers import (
     Place,
     ends_of,
     find_fingers,
+    finger_by_joint,
     finger_tips,
     nearing,
     partner_names,
@@ -56,7 +57,6 @@ from .fingers import (
 from .follower_limits import Interval, clipped_rule
 from .hand import Hand, Points
 from .human import HUMAN_JOINTS, LARGEST_ROLL, HumanLengths
-from .joint_fingers import finger_by_joint as finger_by_joint
 from .library import (
     HUMAN_HANDS,
     ROBOT_FILES,
@@ -220,6 +220,7 @@ __all__ = [
     "ends_of",
     "find_fingers",
     "find_pads",
+    "finger_by_joint",
     "finger_tips",
     "fix_free_joints",
     "get_numbers",

@@ -500,6 +500,21 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     return fingers
 
 
+def finger_by_joint(hand: Hand) -> dict[str, str]:
+    """Return the finger of each joint that moves one finger alone, by their names.
+
+    Joints that follow others count too; those of a wrist, an arm or a palm have no finger.
+
+    Args:
+        hand: The hand.
+    """
+    return {
+        hand.model.names[joint]: name
+        for name, finger in find_fingers(hand).items()
+        for joint in finger.own
+    }
+
+
 def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
     """Return the name of the human point that each reference point of a robot corresponds to.
 

@@ -10,7 +10,7 @@ from handmap_qp import load_hand
 from handmap_qp.apps.simulation.haptics import finger_forces
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
-from handmap_qp.hands.joint_fingers import finger_by_joint
+from handmap_qp.hands import finger_by_joint
 from handmap_qp.mapping.objects import Box
 from handmap_qp.se3 import affine
 

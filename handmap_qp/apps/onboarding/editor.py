@@ -28,7 +28,7 @@ from handmap_qp.hands import (
     Hand,
     HandSpec,
     Names,
-    find_fingers,
+    finger_by_joint,
     finger_tips,
     load_hand,
     urdf_path,
@@ -432,9 +432,8 @@ class HandEditor:
     def _ask(self, link: str, gui: Any) -> None:
         """Ask for the name of the finger that a link is of, if it is of one."""
         hand = self.hand
-        joint = hand.frames[link].parentJoint
-        fingers = find_fingers(hand).values()
-        if finger := next((f.name for f in fingers if joint in f.own), ""):
+        joint = hand.model.names[hand.frames[link].parentJoint]
+        if finger := finger_by_joint(hand).get(joint):
             with gui.add_modal(f"Name the finger that is called {finger}") as modal:
                 names = gui.add_button_group("", FINGERS)
 

@@ -1,6 +1,6 @@
 """What the fingers of a simulated hand feel: `finger_forces`."""
 
-from handmap_qp.hands.joint_fingers import finger_by_joint
+from handmap_qp.hands import finger_by_joint
 from .simulator import Simulator
 
 
