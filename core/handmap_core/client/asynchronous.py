@@ -383,8 +383,8 @@ class AsyncClient(Calls):
         Returns:
             Why the server refused an earlier call; None if no refusal has arrived.
         """
-        given = {"type": "touch", "forces": forces, "efforts": efforts, "time": time}
-        return await self._run(self._tell(request_fields(given), "touches"), "touches")
+        felt = {"forces": forces, "efforts": efforts, "time": time}
+        return await self._run(self._touch(felt), "touches")
 
     async def haptics(self, timeout: float = 0.0) -> Haptics | None:
         """Return what the fingers of the robot feel, in the session opened or watched.

@@ -238,6 +238,9 @@ class Calls:
         await self._io(use, _ENCODE(self._numbered(request)), 0.0)
         return reply if isinstance(reply, Error) else None
 
+    async def _touch(self, felt: Request) -> Error | None:
+        return await self._tell(request_fields(felt | {"type": "touch"}), "touches")
+
     async def _latest(self, timeout: float) -> Command | None:
         if "stream" not in self._sockets:
             raise RuntimeError("open a session first, or watch one")
@@ -259,9 +262,7 @@ class Calls:
         if "haptics" not in self._sockets:
             # Only who asks for haptics receives them.
             name, port = self._stream_of
-            host = self.address.rpartition(":")[0]
-            socket = self._socket("haptics", zmq.SUB, f"{host}:{port}")
-            socket.setsockopt(zmq.SUBSCRIBE, (name + HAPTICS_END).encode() + TOPIC_END)
+            self._connect_stream("haptics", name + HAPTICS_END, port)
         elif monotonic() - self._felt_at > HAPTICS_LIFE:
             # What waits may have arrived long ago.
             await self._read("haptics", 0.0)
@@ -403,9 +404,13 @@ class Calls:
         self._drop("stream")
         self._drop("haptics")
         self._stream_of = name, port
+        self._connect_stream("stream", name, port)
+
+    def _connect_stream(self, use: Use, topic: str, port: int) -> None:
+        """Subscribe to what the server publishes under a topic."""
         host = self.address.rpartition(":")[0]
-        stream = self._socket("stream", zmq.SUB, f"{host}:{port}")
-        stream.setsockopt(zmq.SUBSCRIBE, name.encode() + TOPIC_END)
+        stream = self._socket(use, zmq.SUB, f"{host}:{port}")
+        stream.setsockopt(zmq.SUBSCRIBE, topic.encode() + TOPIC_END)
 
     def _socket(self, use: Use, kind: int = zmq.DEALER, address: str = "") -> Socket:
         """Return the socket for a use, connected when it is first needed."""
