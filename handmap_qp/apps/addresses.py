@@ -48,6 +48,11 @@ def bare_host(name: str, host: str) -> str:
     return bare
 
 
+def url_host(host: str) -> str:
+    """Return a host as URLs have it: IPv6 in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
 def _unbracketed(host: str) -> str:
     return re.sub(r"^\[(.*)\]\Z", r"\1", host)
 

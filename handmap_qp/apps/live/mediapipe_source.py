@@ -23,6 +23,7 @@ from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.hands import Side
 from handmap_qp.human import UNSEEN, HumanSample
+from .processes import end_process
 from .source import Source
 
 VARIABLE = "HANDMAP_MEDIAPIPE"
@@ -42,8 +43,6 @@ PYTHONS = ("python3.12", "python3.11", "python3.10")
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
 _NOT_FOUND = {"landmarks": UNSEEN, "confidence": 0.0}
 """Fields of a sample that the process leaves out where it does not find the hand."""
-_END = 5.0
-"""Longest wait for the process to end [s]."""
 
 
 def environment_folder() -> Path:
@@ -171,11 +170,7 @@ class MediapipeSource(Source):
                 code = process.wait()
             finally:
                 # Also where the samples are no longer read.
-                process.terminate()
-                try:
-                    process.wait(_END)
-                except subprocess.TimeoutExpired:
-                    process.kill()
+                end_process(process)
             if code:
                 messages.seek(0)
                 name = f"{_PROGRAM.stem}: "

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlencode
 
 from handmap_core.errors import InvalidInputError, expect, require
-from handmap_qp.apps.addresses import REQUESTS_PORT
+from handmap_qp.apps.addresses import REQUESTS_PORT, url_host
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.hands import Side, Values, robot_files, sided_name
@@ -23,6 +23,7 @@ from handmap_qp.human import HumanSample
 from handmap_qp.trackers import read_recording
 from .cli import send
 from .mediapipe_source import MediapipeSource, environment_python
+from .processes import end_process, start_command
 from .reach import Reach, network_reach, qr_code
 from .source import Replay, Sink, Source
 
@@ -34,8 +35,6 @@ SESSION = "live"
 _USUAL = "three_finger"
 """Robot of a camera or a recording if none is named; its model is in the package."""
 _LAST_PORT = 65535 - 2
-_END = 5.0
-"""Longest wait for a process to end [s]."""
 _PERIOD = 0.2
 """Time between two looks at whether the service still runs [s]."""
 
@@ -195,8 +194,7 @@ def page_address(reach: Reach | None, port: int, robot: str) -> str:
     query = f"?{urlencode(chosen)}" if chosen else ""
     if reach is None:
         return f"http://localhost:{port}/{query}"
-    host = f"[{reach.host}]" if ":" in reach.host else reach.host
-    return f"https://{host}:{port}/{query}#token={reach.token}"
+    return f"https://{url_host(reach.host)}:{port}/{query}#token={reach.token}"
 
 
 def _is_of_other(name: str, side: Side) -> bool:
@@ -269,35 +267,6 @@ def _service(
         yield process, json.loads(line)["ports"]
     finally:
         end_process(process)
-
-
-def start_command(
-    words: Sequence[str], *, is_read: bool = False
-) -> subprocess.Popen[str]:
-    """Start a command of `handmap` that Ctrl-C in the terminal does not reach.
-
-    Args:
-        words: Words after `handmap`.
-        is_read: Whether its output is read here instead of printed.
-    """
-    return subprocess.Popen(
-        [sys.executable, "-m", "handmap_qp.cli", *words],
-        stdout=subprocess.PIPE if is_read else None,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def end_process(process: subprocess.Popen[str]) -> None:
-    """End a process of ours, by force if it takes too long."""
-    process.terminate()
-    try:
-        process.wait(_END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    if process.stdout:
-        process.stdout.close()
 
 
 def _wait_for(service: subprocess.Popen[str]) -> None:

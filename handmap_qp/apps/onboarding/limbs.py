@@ -41,10 +41,10 @@ _HEAD = re.compile("head|neck|eye|camera|lidar|velodyne", re.IGNORECASE)
 # A finger by its own name.
 _FINGER = re.compile("finger|thumb|digit|fngr", re.IGNORECASE)
 # What carries a hand, and what does not.
-_ARM_PART = re.compile(
-    "shoulder|elbow|wrist|(?<![a-z])arm(?![a-z])|forearm", re.IGNORECASE
-)
 _WRIST = re.compile("wrist|forearm", re.IGNORECASE)
+_ARM_PART = re.compile(
+    f"shoulder|elbow|{_WRIST.pattern}|(?<![a-z])arm(?![a-z])", re.IGNORECASE
+)
 _LEG_PART = re.compile(
     r"""knee | ankle | thigh | calf | coxa | femur | tibia | tarsus
     | (?<![a-z]) (?: hip | leg | foot ) (?![a-z])""",

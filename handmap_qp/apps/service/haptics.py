@@ -43,6 +43,11 @@ def haptics_of(request: Touch, name: str, robot: Hand) -> Haptics:
     return Haptics(name=name, time=request.time, forces=forces, efforts=efforts)
 
 
+def session_of(stream: str) -> str:
+    """Return the name of the session that a stream is of."""
+    return stream.removesuffix(HAPTICS_END)
+
+
 def stream_of(request: Subscribe) -> str:
     """Return the name of the stream that a client subscribes to."""
     return request.name + (HAPTICS_END if request.stream == "haptics" else "")

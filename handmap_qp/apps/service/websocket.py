@@ -33,6 +33,7 @@ from handmap_core.errors import InvalidInputError
 from handmap_qp.apps.refusals import naming
 from .dispatch import NO_VALUE, Backend
 from .fairness import crowded_accounts
+from .haptics import session_of
 from .logs import report, websocket_log
 from .pages import page_response
 from .safety import Bucket
@@ -205,7 +206,7 @@ class WebSocketTransport:
             # Forget ended sessions: they could return under their names, but there is no end.
             names = {*self.backend.names}
             for stream in tuple(connection.streams):
-                if stream.partition("/")[0] not in names:
+                if session_of(stream) not in names:
                     del connection.streams[stream]
         connection.streams[name] = form
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from handmap_core.errors import expect, require
-from handmap_qp.apps.addresses import is_loopback, names_loopback
+from handmap_qp.apps.addresses import is_loopback, names_loopback, url_host
 from handmap_qp.apps.refusals import naming
 
 if TYPE_CHECKING:
@@ -66,9 +66,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[ViserServer]:
 def showing(host: str, port: int, *, opens: bool) -> Iterator[ViserServer]:
     """Serve until Ctrl-C, as `serving`; print the address, and open the browser if requested."""
     with serving(host, port) as server:
-        listening = server.get_host()
-        name = f"[{listening}]" if ":" in listening else listening
-        address = f"http://{name}:{server.get_port()}"
+        address = f"http://{url_host(server.get_host())}:{server.get_port()}"
         print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
         if opens:
             webbrowser.open(address)
