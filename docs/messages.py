@@ -148,6 +148,29 @@ SAFETY = Path(__file__).with_name("safety.md")
 TROUBLESHOOTING = Path(__file__).with_name("troubleshooting.md")
 STATUSES = SCHEMAS["schema"].with_name("webxr") / "statuses.json"
 """What each status means and what to do; the page reads it, and the documentation."""
+LINKS: dict[str, dict[str, str]] = {
+    "limited": {"at a limit": "#what-holds-the-hand"},
+    "unreachable": {
+        "out of reach": "#what-holds-the-hand",
+        "calibrate": "calibration.md",
+        "preset": "choose.md",
+    },
+    "unsettled": {"ik.max-iterations": "choose.md#options"},
+    "failed": {"default weights and solver": "choose.md#options"},
+    "held": {"the rule": "#rules-of-the-guard"},
+    "gliding": {"returns": "faults.md#coming-back"},
+    "released": {"until Engage": "safety.md#words-and-states"},
+    "waiting": {"start the tracker": "#samples-do-not-arrive"},
+    "hold": {
+        "watchdog": "safety.md#guaranteed-by-the-watchdog",
+        "start the tracker": "#samples-do-not-arrive",
+    },
+    "returning": {"rest": "safety.md#words-and-states"},
+    "not_following": {"following_error": "service.md#a-driver"},
+    "stopped": {"emergency stop": "safety.md#emergency-stop"},
+    "calibrating": {"is measured": "calibration.md#the-first-seconds-of-a-session"},
+}
+"""Phrases of a status that are links in the documentation; the page of a headset has none."""
 _BEGIN, _END = "<!-- stopping: by docs/messages.py -->", "<!-- end -->"
 """What the table of `STOPPING` is between."""
 
@@ -254,16 +277,24 @@ def safety_text() -> str:
 
 
 def troubleshooting_text() -> str:
-    """Return docs/troubleshooting.md with the table of the statuses."""
+    """Return docs/troubleshooting.md with the table of the statuses, and links to more."""
     text = TROUBLESHOOTING.read_text(encoding="utf-8")
     head = "| status | what it means | what to do |\n|---|---|---|\n"
     before, rest = text.split(head)
     _, after = rest.split("\n\n", 1)
+    statuses = json.loads(STATUSES.read_text(encoding="utf-8"))
     rows = (
-        f"| `{status}` | {each['means']} | {each['do']} |"
-        for status, each in json.loads(STATUSES.read_text(encoding="utf-8")).items()
+        f"| `{status}` | {_linked(status, each['means'])} | {_linked(status, each['do'])} |"
+        for status, each in statuses.items()
     )
     return f"{before}{head}{chr(10).join(rows)}\n\n{after.rstrip()}"
+
+
+def _linked(status: str, text: str) -> str:
+    """Return a text of a status with the links of `LINKS`."""
+    for phrase, target in LINKS.get(status, {}).items():
+        text = text.replace(phrase, f"[{phrase}]({target})", 1)
+    return text
 
 
 def json_schema() -> str:

@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 
 from handmap_core.human.sample import RULES
+from handmap_core.ik import IkOptions
+from handmap_core.stream import following
 from handmap_core.stream.step_table import STATUS_NAMES
+from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES
 from handmap_qp.apps.service.safety import SessionState
+from handmap_qp.client.messages import PROTOCOL, Open
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
@@ -50,6 +54,30 @@ WORDS = {
 def test_a_table_has_all_words_of_the_code_and_no_other(section: str) -> None:
     first = [row[0].strip("`") for row in rows_of(section)]
     assert sorted(first) == sorted(WORDS[section])
+
+
+LIMITS = {
+    "converged": 1e3 * IkOptions().point_tolerance,
+    "unsettled": IkOptions().max_iterations,
+    "hold": Open(protocol=PROTOCOL, seq=1, robot="three_finger").watchdog,
+    "not_following": 1e3 * following._SILENCE,
+    "calibrating": CALIBRATION_SAMPLES,
+}
+"""The number in the row of a status, in the row's unit."""
+
+
+@pytest.mark.parametrize("status", LIMITS)
+def test_a_status_states_the_limit_of_the_code(status: str) -> None:
+    (row,) = (row for row in rows_of("Statuses") if row[0] == f"`{status}`")
+    (number,) = re.findall(r"\d+(?:\.\d+)?", " ".join(row[1:]))
+    assert float(number) == pytest.approx(LIMITS[status])
+
+
+def test_statuses_have_all_links() -> None:
+    rows = {row[0].strip("`"): " ".join(row[1:]) for row in rows_of("Statuses")}
+    for status, links in MESSAGES["LINKS"].items():
+        for phrase, target in links.items():
+            assert f"[{phrase}]({target})" in rows[status]
 
 
 def test_every_row_says_why_and_what_to_do() -> None:
