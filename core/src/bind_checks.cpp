@@ -113,6 +113,8 @@ void bind_numbers(nb::module_& m) {
   m.attr("SURE_SIDE") = kSureSide;
   m.attr("RESIZED") = kResized;
   m.attr("FIRST_SIZES") = kFirstSizes;
+  constexpr Smoothing kSmoothing;
+  m.attr("SMOOTHING") = nb::make_tuple(kSmoothing.acceleration, kSmoothing.speed_gain);
 }
 
 }  // namespace

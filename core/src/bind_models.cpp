@@ -2,11 +2,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bind.hpp"
-#include "handmap/hand_model.hpp"
-#include "handmap/ik_models.hpp"
-#include "handmap/limits.hpp"
-#include "handmap/method_models.hpp"
-#include "handmap/person_models.hpp"
+#include "handmap/follower_model.hpp"
 #include "handmap/robot_model.hpp"
 
 using namespace nb::literals;
@@ -43,6 +39,8 @@ nb::dict model_fields() {
   add<HomogeneousModel>(models);
   add<GuardModel>(models);
   add<LandmarkReaderModel>(models);
+  add<PalmFollowingModel>(models);
+  add<FollowerModel>(models);
   add<RobotHandModel>(models);
   add<RobotModel>(models);
   return models;

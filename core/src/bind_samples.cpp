@@ -4,6 +4,8 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bind.hpp"
+#include "handmap/palm_reference.hpp"
+#include "handmap/rejoin.hpp"
 #include "robot.hpp"
 
 using namespace nb::literals;
@@ -82,9 +84,45 @@ std::optional<std::tuple<nb::object, nb::object, nb::object, double>> meeting(
                          array_of({3}, &found->aim.x), found->share);
 }
 
+// The palm of a reference: the robot's at it, the alignment, the robot's palm seen from the human's, its
+// origin there, the rest of its place, and the human's anchor; see PalmMap.
+nb::tuple palm_of_reference(const nb::bytes& following, const Array& human_wrist,
+                            const Array& robot_wrist) {
+  const PalmModel palm = palm_at(model_of<PalmFollowingModel>(following), read_pose(human_wrist),
+                                 read_pose(robot_wrist));
+  return nb::make_tuple(array_of(palm.start), array_of({3, 3}, palm.alignment.m),
+                        array_of({3, 3}, palm.rotation.m), array_of({3}, &palm.origin.x),
+                        array_of({3}, &palm.offset.x), array_of({3}, &palm.human_start.x));
+}
+
+// What is added to samples after a return, (n + 2, 3), and the time in which it fades.
+std::pair<NumpyArray, double> offset_of_return(const HumanPose& pose, const HumanPose& seen,
+                                               bool palm_fades, double lost) {
+  expect(pose.has_wrist == seen.has_wrist && pose.points.size() == seen.points.size(),
+         "poses of different hands");
+  const Offset offset = Place::of(pose).to(Place::of(seen));
+  return {array_of(offset), fading_time(offset, palm_fades, lost)};
+}
+
+HumanPose pose_with_offset(const HumanPose& pose, const Array& offset, double left, bool palm_fades) {
+  expect_size(offset, 3 * (pose.points.size() + 2), "offset");
+  return with_offset(pose, points_of(offset), left, palm_fades);
+}
+
 }  // namespace
 
 void bind_samples(nb::module_& m) {
+  m.attr("FADING_SPEEDS") = nb::make_tuple(kFadingFinger, kFadingPalm, kFadingTurn);
+  m.def("palm_of_reference", &palm_of_reference, "following"_a, "human_wrist"_a, "robot_wrist"_a);
+  m.def("start_palm",
+        [](const nb::bytes& following, const Array& human_wrist) {
+          return array_of(
+              start_palm(model_of<PalmFollowingModel>(following), read_pose(human_wrist)));
+        },
+        "following"_a, "human_wrist"_a);
+  m.def("minimum_jerk", &minimum_jerk, "share"_a);
+  m.def("offset_of_return", &offset_of_return, "pose"_a, "seen"_a, "palm_fades"_a, "lost"_a);
+  m.def("pose_with_offset", &pose_with_offset, "pose"_a, "offset"_a, "left"_a, "palm_fades"_a);
   m.def("array_of_rows", &array_of_rows, "rows"_a);
   m.def("tip_gaps", &tip_gaps, "landmarks"_a);
   nb::class_<HumanPose>(m, "HumanPose")

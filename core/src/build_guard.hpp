@@ -15,23 +15,9 @@ namespace handmap {
 
 using Flags = nb::ndarray<const bool, nb::c_contig, nb::device::cpu>;
 
-inline double sign_of(const std::string& side) { return side == "right" ? 1.0 : -1.0; }
-
 inline Landmarks landmarks_from(const Array& points) {
   expect_size(points, 3 * kLandmarks, "landmarks");
   return landmarks_of(points.data());
-}
-
-// Of indices of our landmarks among those that came, in each order; our own order comes first.
-inline std::shared_ptr<const LandmarkOrders> make_orders(const std::vector<Indices>& indices) {
-  expect(!indices.empty(), "no order");
-  std::vector<std::array<int, kLandmarks>> known;
-  for (const Indices& each : indices) {
-    expect(each.size() == kLandmarks, "wrong size of an order");
-    expect_below("orders", each, kLandmarks);
-    std::copy(each.begin(), each.end(), known.emplace_back().begin());
-  }
-  return std::make_shared<const LandmarkOrders>(std::move(known));
 }
 
 // Rule, mistake, number and index; see human.findings.Finding.

@@ -379,7 +379,14 @@ def sample_calls(
     palm_map = core.PalmMap(palm)
     led = core.LedPalm(palm_map, wrist)
     joints = load_hand("human")
+    following = encode(teleoperation.method.palm_model)
+    offset, _ = core.offset_of_return(pose, pose, True, 1.0)
     return {
+        "minimum_jerk": (core.minimum_jerk, (0.5,)),
+        "offset_of_return": (core.offset_of_return, (pose, pose, True, 1.0)),
+        "pose_with_offset": (core.pose_with_offset, (pose, offset, 0.5, True)),
+        "palm_of_reference": (core.palm_of_reference, (following, wrist, wrist)),
+        "start_palm": (core.start_palm, (following, wrist)),
         "HumanPose": (core.HumanPose, (points, wrist)),
         "StepViews": (core.StepViews, (list, list, list, list)),
         "HandMapper": (

@@ -9,8 +9,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from oracles.hand_place import Place
 
-from handmap_core.stream.rejoin import _Place
 from handmap_core.stream.smoothing import Smoothing
 from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import Array, lengths
@@ -38,7 +38,7 @@ class SmoothState(NamedTuple):
         seen: The sample; None to start again.
         dt: Time between it and the one before [s]; 0 for a first one.
         moving: Velocity of its points, shape (n, 3) [m/s]; None for a first one.
-        speeds: Smoothed velocities, as of `_Place.to`, shape (n + 2, 3) [m/s, rad/s].
+        speeds: Smoothed velocities, as of `Place.to`, shape (n + 2, 3) [m/s, rad/s].
         recent: Largest recent speeds, of the turn at a lever, shape (n + 2,) [m/s]; 0 likewise.
         stages: Where the three filters are; the last one is the smoothed sample.
     """
@@ -50,7 +50,7 @@ class SmoothState(NamedTuple):
     moving: Any = None
     speeds: Any = None
     recent: Any = 0.0
-    stages: tuple[_Place, ...] = ()
+    stages: tuple[Place, ...] = ()
 
 
 class ReferenceSmoother:
@@ -65,7 +65,7 @@ class ReferenceSmoother:
         if self.options is None:
             return pose
         before = self._former = self._state
-        seen, former = _Place.of(pose), before.seen
+        seen, former = Place.of(pose), before.seen
         dt += before.waited
         is_first = former is None or former.has_wrist != seen.has_wrist
         if is_first or dt > _LONGEST_GAP:
@@ -93,7 +93,7 @@ class ReferenceSmoother:
 
 
 def _smoothed(
-    options: Smoothing, before: SmoothState, seen: _Place, dt: float
+    options: Smoothing, before: SmoothState, seen: Place, dt: float
 ) -> SmoothState:
     """Smooth a sample that came dt [s] after the one before."""
     moving = (seen.points - before.seen.points)[:-1] / dt

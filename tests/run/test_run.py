@@ -248,8 +248,8 @@ def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
             "of version 0.1.9, expected 0.2.0",
         ),
         (
-            lambda content: content.replace(b"form\x07", b"form\x09", 1),
-            "of form 9, expected 8 or less; install a newer handmap-core",
+            lambda content: content.replace(b"form\x09", b"form\x0b", 1),
+            "of form 11, expected 10 or less; install a newer handmap-core",
         ),
     ],
     ids=["empty", "torn", "other", "text", "nested", "damaged", "version", "form"],
@@ -305,7 +305,7 @@ def test_fields_of_another_version_are_refused(
     tree = msgspec.msgpack.decode(content["body"])
     change(tree)
     content["body"] = msgspec.msgpack.encode(tree)
-    content["checksum"] = zlib.crc32(content["body"])
+    content["checksum"] = zlib.crc32(content["core"], zlib.crc32(content["body"]))
     saved.write_bytes(msgspec.msgpack.encode(content))
     with pytest.raises(HandError, match=said) as error:
         load(saved)

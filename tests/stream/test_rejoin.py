@@ -11,7 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from injection import inject, parse_faults
+from oracles.hand_place import Place
 
+from handmap_core.core import core
 from handmap_core.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_core.mapping.step import MapStep
 from handmap_core.stream.rejoin import (
@@ -31,7 +33,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.mapping.method import HumanPose
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import affine, transform_points
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")
@@ -143,6 +145,33 @@ def test_a_glide_sets_out_and_arrives_gently() -> None:
     assert (speeds >= -1e-12).all()
     assert max(speeds[0], speeds[-1]) < 0.02 * speeds.max()
     assert speeds.max() == pytest.approx(PALM_SPEED, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["glide", "clutch"])
+def test_a_return_adds_what_numpy_says(kind: RejoinKind) -> None:
+    random = np.random.default_rng(17103)
+    poses = []
+    for _ in range(2):
+        wrist = affine(core.exp3(random.normal(size=3)), random.normal(size=3))
+        points = HUMAN.points(HUMAN.rest) + 0.01 * random.normal(size=(21, 3))
+        poses.append(HumanPose(transform_points(wrist, points), wrist))
+    pose, seen = poses
+    state = Rejoin(kind, seen).start(pose)
+    offset = Place.of(pose).to(Place.of(seen))
+    assert state.offset is not None
+    np.testing.assert_allclose(state.offset, offset, atol=1e-12)
+    for _ in range(3):
+        share = state.elapsed / state.duration
+        left = 1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        kept = left * offset
+        if kind == "clutch":
+            kept[-2:] = offset[-2:]
+        moved, state = state.advance(pose, 0.2 * state.duration)
+        expected = Place.of(pose).moved(kept).pose()
+        np.testing.assert_allclose(moved.points, expected.points, atol=1e-12)
+        assert moved.wrist is not None
+        assert expected.wrist is not None
+        np.testing.assert_allclose(moved.wrist, expected.wrist, atol=1e-12)
 
 
 def test_a_step_of_the_hand_takes_50_ms_however_small_or_brief() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.hands import Hand
-from handmap_core.models import PalmModel, encode
+from handmap_core.models import PalmFollowingModel, PalmModel, encode
 from handmap_core.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import Alignment, rotation_of
 from .targets import AnyPose, HumanPose, RobotPosture, TargetMap, without_core
@@ -57,11 +57,34 @@ class PalmMethod(Generic[AnyHand]):
         assert sample.wrist is not None
         return sample.wrist @ self.wrist_to_palm
 
+    def following(
+        self,
+        human_anchor: Array = _ORIGIN,
+        robot_anchor: Array = _ORIGIN,
+        scale: float = 1.0,
+    ) -> PalmFollowingModel:
+        """Return how the robot's palm follows the human's, whatever the reference.
+
+        Args:
+            human_anchor: The human's anchor in its palm [m], shape (3,); the origin if omitted.
+            robot_anchor: The robot's, likewise.
+            scale: Factor on the palm's translation.
+        """
+        return PalmFollowingModel(
+            aligns_palms=self.alignment == "palm",
+            alignment=rotation_of(self.alignment),
+            scale=scale,
+            human_wrist_to_palm=self.wrist_to_palm,
+            robot_wrist_to_palm=self.robot.wrist_to_palm,
+            is_still=not self.robot.has_moving_wrist,
+            human_anchor=human_anchor,
+            robot_anchor=robot_anchor,
+        )
+
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world; the origin where `palm` aligns them."""
-        if self.alignment == "palm":
-            return np.eye(4)
-        return affine(rotation_of(self.alignment)) @ self.palm_of(sample)
+        assert sample.wrist is not None
+        return core.start_palm(encode(self.following()), sample.wrist)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference; see `BoundMethod.start`."""
@@ -116,23 +139,23 @@ class PalmMap:
         robot_anchor: Array = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
+        assert sample.wrist is not None
         self._method = method
         robot = method.robot
         self.rest = robot.rest
+        following = method.following(human_anchor, robot_anchor, scale)
+        (
+            self.start,
+            self.alignment,
+            self.rotation,
+            self.origin,
+            self.offset,
+            self.human_start,
+        ) = core.palm_of_reference(encode(following), sample.wrist, posture.wrist)
         self.human_wrist_to_palm = method.wrist_to_palm
         self.robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
-        self.is_still = not robot.has_moving_wrist
-        before = method.palm_of(sample)
-        start = posture.wrist @ robot.wrist_to_palm
-        self.start = start
-        self.robot_points = transform_points(inverse_pose(start), posture.points)
-        self.alignment = Q = rotation_of(method.alignment, before, start)
-        # The robot's palm in axes of the human's world.
-        start = affine(Q.T) @ start
-        self.rotation = before[:3, :3].T @ start[:3, :3]
-        self.origin = human_anchor - self.rotation.dot(robot_anchor)
-        self.human_start = transform_points(before, human_anchor)
-        self.offset = transform_points(start, robot_anchor) - self.human_start
+        self.is_still = following.is_still
+        self.robot_points = transform_points(inverse_pose(self.start), posture.points)
         self.human_anchor = human_anchor
         self.robot_anchor = robot_anchor
         self.further = scale - 1.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from handmap_core.core import core
 from handmap_core.ik import PointDistances
-from handmap_core.models import TeleoperationModel, encode
+from handmap_core.models import PalmFollowingModel, TeleoperationModel, encode
 from handmap_core.se3 import Array, inverse_pose, mirror_sign, transform_points
 from .alignment import Alignment
 from .estimation import MotionEstimator
@@ -146,12 +146,16 @@ class BoundTeleoperation(PalmMethod[AnyHand]):
         self.distances = distances
         self.keeps_apart = keeps_apart
 
+    @cached_property
+    def palm_model(self) -> PalmFollowingModel:
+        """How the robot's palm follows, as the core has it."""
+        palm = self.palm
+        return self.following(palm.human_anchor, palm.robot_anchor, palm.scale)
+
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm, moved so that the anchors of both hands have one place."""
-        palm = super().start_palm(sample)
-        shift = self.palm.human_anchor - self.palm.robot_anchor
-        palm[:3, 3] += palm[:3, :3] @ shift
-        return palm
+        assert sample.wrist is not None
+        return core.start_palm(encode(self.palm_model), sample.wrist)
 
     @cached_property
     def model_bytes(self) -> bytes:

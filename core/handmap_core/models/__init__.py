@@ -12,6 +12,8 @@ from .encoding import Vector as Vector
 from .encoding import encode as encode
 from .encoding import encoded as encoded
 from .encoding import unpacked as unpacked
+from .follower import FollowerModel as FollowerModel
+from .follower import PalmFollowingModel as PalmFollowingModel
 from .hand import FrameModel as FrameModel
 from .hand import HandModel as HandModel
 from .hand import JointModel as JointModel

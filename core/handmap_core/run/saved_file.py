@@ -9,12 +9,12 @@ from typing import TypeVar
 import msgspec
 
 from handmap_core.errors import HandError
-from handmap_core.models import encode, unpacked
+from handmap_core.models import FollowerModel, encode, unpacked
 from .records import HandFile, RobotFile
 
 KIND = "handmap hand"
-HAND = 7
-ROBOT = 8
+HAND = 9
+ROBOT = 10
 _FORMS = {HAND: ("one hand", "load"), ROBOT: ("a robot with two hands", "load_robot")}
 """What files of each form have, and what reads them."""
 
@@ -30,11 +30,13 @@ class _Head(msgspec.Struct, frozen=True):
     Attributes:
         kind: `KIND`.
         version: Version of the library that saved it: another one may have other fields.
-        checksum: CRC-32 of `body`.
+        checksum: CRC-32 of `body` and `core`, behind each other.
         body: A `HandFile` or a `RobotFile`, in msgpack again.
         form: Form of `body`. Files of forms 1 and 2 had fields by name, without types; the first
-            ones did not name it. Those of 3 and 4 had one rest posture for all samples, and those
-            of 5 and 6 no segments of fingers for a thumb to lie on.
+            ones did not name it. Those of 3 and 4 had one rest posture for all samples, those of
+            5 and 6 no segments of fingers for a thumb to lie on, and those of 7 and 8 no `core`.
+        core: A `FollowerModel`, in msgpack again, which C++ reads (`handmap/saved_hand.hpp`); empty
+            where only Python follows.
     """
 
     kind: str
@@ -42,6 +44,7 @@ class _Head(msgspec.Struct, frozen=True):
     checksum: int
     body: bytes
     form: int = 1
+    core: bytes = b""
 
 
 def library_version() -> str:
@@ -52,11 +55,20 @@ def library_version() -> str:
     return version("handmap-core")
 
 
-def written(content: HandFile | RobotFile) -> bytes:
-    """Return the bytes of a file."""
+def written(
+    content: HandFile | RobotFile, follower: FollowerModel | None = None
+) -> bytes:
+    """Return the bytes of a file.
+
+    Args:
+        content: What Python follows by.
+        follower: What C++ follows by; None where it cannot.
+    """
     body = encode(content)
+    part = b"" if follower is None else encode(follower)
     form = HAND if isinstance(content, HandFile) else ROBOT
-    head = _Head(KIND, library_version(), zlib.crc32(body), body, form)
+    checksum = zlib.crc32(part, zlib.crc32(body))
+    head = _Head(KIND, library_version(), checksum, body, form, part)
     return msgspec.msgpack.encode(head)
 
 
@@ -106,7 +118,7 @@ def _checked_body(path: Path, form: int) -> bytes:
     if head.form not in _FORMS:
         older = f"it is of form {head.form}, expected {' or '.join(map(str, _FORMS))}"
         raise HandError(f"{older}; {_save_again()}", file=path)
-    if zlib.crc32(head.body) != head.checksum:
+    if zlib.crc32(head.core, zlib.crc32(head.body)) != head.checksum:
         raise HandError("it is damaged; copy it again", file=path)
     if head.form != form:
         name, function = _FORMS[head.form]

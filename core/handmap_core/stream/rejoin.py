@@ -1,69 +1,24 @@
-"""`Rejoin`: how a robot comes back to the human after a hold, without a snap."""
+"""`Rejoin`: how a robot comes back to the human after a hold, without a snap.
+
+The compiled core has the formulas (`handmap/rejoin.hpp`), which the library in C++ follows by, too.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
-import numpy as np
 from msgspec import structs
 
 from handmap_core.core import core
-from handmap_core.mapping import AnyPose, HumanPose
-from handmap_core.se3 import (
-    Array,
-    ArrayStruct,
-    affine,
-    lengths,
-    transform_points,
-)
+from handmap_core.mapping import AnyPose, HumanPose, core_pose
+from handmap_core.se3 import Array, ArrayStruct
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""
 
-FINGER_SPEED = 0.4
-"""Largest speed that fading adds to a point in wrist axes [m/s]."""
-PALM_SPEED = 0.5
-"""Largest speed that fading adds to the wrist [m/s]."""
-TURN_SPEED = 3.0
-"""Largest angular speed that fading adds to the wrist [rad/s]."""
-_SHORTEST = 0.05  # shortest time of fading [s]
-_PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
-
-
-class _Place(NamedTuple):
-    """Where a hand is: points in wrist axes, with the wrist's position behind them (n + 1, 3) [m].
-
-    Without a wrist, points are in the world, and the wrist is its origin.
-    """
-
-    points: Array
-    rotation: Array
-    has_wrist: bool
-
-    @classmethod
-    def of(cls, pose: AnyPose) -> _Place:
-        """Return where a sample is."""
-        wrist = np.eye(4) if pose.wrist is None else pose.wrist
-        rotation, position = wrist[:3, :3], wrist[:3, 3]
-        points = np.vstack([(pose.points - position) @ rotation, position])
-        return cls(points, rotation, pose.wrist is not None)
-
-    def pose(self) -> HumanPose:
-        """Return a sample there."""
-        wrist = affine(self.rotation, self.points[-1])
-        points = transform_points(wrist, self.points[:-1])
-        return HumanPose(points, wrist if self.has_wrist else None)
-
-    def to(self, other: _Place) -> Array:
-        """Return the way to another place [m], with the turn in own axes behind it [rad]."""
-        turn = core.log3(self.rotation.T @ other.rotation)
-        return np.vstack([other.points - self.points, turn])
-
-    def moved(self, way: Array) -> _Place:
-        """Return the place at the end of a way."""
-        rotation = self.rotation @ core.exp3(way[-1])
-        return _Place(self.points + way[:-1], rotation, self.has_wrist)
+FINGER_SPEED, PALM_SPEED, TURN_SPEED = core.FADING_SPEEDS
+"""Largest speeds that fading adds to a point in wrist axes [m/s], and to the wrist [m/s, rad/s]."""
 
 
 class Rejoin(ArrayStruct, frozen=True):
@@ -72,7 +27,8 @@ class Rejoin(ArrayStruct, frozen=True):
     Attributes:
         kind: `glide` or `clutch`.
         seen: The last pose that was mapped; None before the first.
-        offset: What was seen last minus what the tracker said at the return (`_Place.to`), shape
+        offset: What was seen last minus what the tracker said at the return: of the n points in
+            wrist axes and of the wrist [m], and the turn in own axes behind them [rad], shape
             (n + 2, 3); None if nothing is added to the samples.
         duration: Time of fading [s].
         elapsed: Time since the return [s].
@@ -89,6 +45,11 @@ class Rejoin(ArrayStruct, frozen=True):
         """Whether the robot is still on its way to the human."""
         return self.offset is not None and self.elapsed < self.duration
 
+    @property
+    def _palm_fades(self) -> bool:
+        """Whether the palm comes back, too, instead of staying where it is."""
+        return self.kind == "glide"
+
     def start(self, pose: HumanPose, lost: float = math.inf) -> Rejoin:
         """Begin at the first sample after a hold.
 
@@ -99,32 +60,21 @@ class Rejoin(ArrayStruct, frozen=True):
             return self
         if before is None or (before.wrist is None) != (pose.wrist is None):
             return structs.replace(self, offset=None)
-        offset = _Place.of(pose).to(_Place.of(before))
-        *fingers, palm, turn = lengths(offset)
-        times = [max(fingers) / FINGER_SPEED]
-        if self.kind == "glide":
-            times += [palm / PALM_SPEED, turn / TURN_SPEED]
-        duration = max(_SHORTEST, min(lost, _PEAK * max(times)))
+        offset, duration = core.offset_of_return(
+            core_pose(pose), core_pose(before), self._palm_fades, lost
+        )
         return structs.replace(self, offset=offset, duration=duration, elapsed=0.0)
 
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
         """Return the pose to map for that of the tracker, dt [s] later, and the state after it."""
         if self.offset is None:
             return pose, self
-        left = 1.0 - _minimum_jerk(self.elapsed / self.duration)
-        offset = left * self.offset
-        stays = self.kind == "clutch"
-        if stays:
-            offset[-2:] = self.offset[-2:]
-        moved = _Place.of(pose).moved(offset).pose()
-        return moved, structs.replace(
+        fades = self._palm_fades
+        left = 1.0 - core.minimum_jerk(self.elapsed / self.duration)
+        moved = core.pose_with_offset(core_pose(pose), self.offset, left, fades)
+        goes_on = left > 0.0 or not fades
+        return HumanPose.of_core(moved), structs.replace(
             self,
-            offset=self.offset if left > 0.0 or stays else None,
+            offset=self.offset if goes_on else None,
             elapsed=self.elapsed + dt,
         )
-
-
-def _minimum_jerk(share: float) -> float:
-    """Go from 0 to 1 with no speed and no acceleration at either end (Flash and Hogan 1985)."""
-    share = min(max(share, 0.0), 1.0)
-    return share * share * share * (10.0 + share * (6.0 * share - 15.0))

@@ -18,8 +18,8 @@ class Smoothing(Options, frozen=True):
         speed_gain: Rise of the acceleration with the speed of a point [1/s].
     """
 
-    acceleration: Positive = 0.4
-    speed_gain: NotNegative = 12.0
+    acceleration: Positive = core.SMOOTHING[0]
+    speed_gain: NotNegative = core.SMOOTHING[1]
 
 
 SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}

@@ -94,6 +94,18 @@ struct LandmarkOrders {
   }
 };
 
+// Of indices of our landmarks among those that came, in each order; our own order comes first.
+inline std::shared_ptr<const LandmarkOrders> make_orders(const std::vector<Indices>& indices) {
+  expect_that(!indices.empty(), "orders", "one at least");
+  std::vector<std::array<int, kLandmarks>> known;
+  for (const Indices& each : indices) {
+    expect_count("orders: landmarks", each.size(), kLandmarks);
+    expect_below("orders", each, kLandmarks);
+    std::copy(each.begin(), each.end(), known.emplace_back().begin());
+  }
+  return std::make_shared<const LandmarkOrders>(std::move(known));
+}
+
 // Sort every column of rows (n, width): Batcher's merge exchange (Knuth, 5.2.2, algorithm M).
 inline void sort_columns(double* rows, int n, int width) {
   int top = 1;

@@ -49,6 +49,11 @@ struct Matrix {
 using Indices = std::vector<int>;
 using BoolVector = std::vector<char>;
 
+// Bytes of another model, which are read where they are needed.
+struct Bytes {
+  std::string data;
+};
+
 // -- the forms of fields, as both sides name them
 
 template <class T>
@@ -64,6 +69,7 @@ HANDMAP_FORM(double, "float")
 HANDMAP_FORM(int, "int")
 HANDMAP_FORM(bool, "bool")
 HANDMAP_FORM(std::string, "str")
+HANDMAP_FORM(Bytes, "bytes")
 HANDMAP_FORM(Vector, "float (n)")
 HANDMAP_FORM(Matrix, "float (n, m)")
 HANDMAP_FORM(Vec3, "float (3)")
@@ -306,6 +312,12 @@ class ModelReader {
   }
 
   void read(std::string& value) { value = text("a text"); }
+
+  void read(Bytes& value) {
+    const std::optional<size_t> size = count(0, 0, 0xc4, 1, "bytes");
+    if (!size) fail("bytes", next());
+    value.data = block(*size, "bytes");
+  }
 
   // -- arrays
 

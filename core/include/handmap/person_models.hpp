@@ -9,6 +9,9 @@ constexpr int kLandmarks = 21;
 // Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers.
 constexpr int kPalm[5] = {0, 5, 9, 13, 17};
 
+// The sign of a side in evidence for a right hand.
+inline double sign_of(const std::string& side) { return side == "right" ? 1.0 : -1.0; }
+
 // The hand whose samples a guard judges; see `StreamGuard`.
 struct GuardModel {
   static constexpr const char* kName = "GuardModel";

@@ -31,8 +31,8 @@ constexpr double kLeastIndex = 1e-9;
 
 // See stream.smoothing.Smoothing.
 struct Smoothing {
-  double acceleration;  // that a point at rest may have [m/s^2]
-  double speed_gain;    // rise of the acceleration with the speed of a point [1/s]
+  double acceleration = 0.4;  // that a point at rest may have [m/s^2]
+  double speed_gain = 12.0;   // rise of the acceleration with the speed of a point [1/s]
 };
 
 // Where a hand is: points in wrist axes, with the wrist's position behind them [m]. Without a wrist, points

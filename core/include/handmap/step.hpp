@@ -9,8 +9,8 @@
 
 namespace handmap {
 
-// See se3.FARTHEST [m] and se3._ROTATION_EXACT.
-constexpr double kFarthest = 1e9, kExactRotation = 1e-12;
+// See se3.FARTHEST [m], se3._ROTATION_EXACT and se3._ROTATION_TOLERANCE.
+constexpr double kFarthest = 1e9, kExactRotation = 1e-12, kRotationTolerance = 1e-3;
 
 // Whether no number is farther than any hand; NaN is.
 inline bool is_near(const double* numbers, size_t count) {
@@ -19,14 +19,25 @@ inline bool is_near(const double* numbers, size_t count) {
   return true;
 }
 
-// A pose, if its rotation is one up to rounding and it is near.
-inline std::optional<Pose> exact_pose(const double* m) {
+// A pose that is near, whose rotation is off one by no more than a tolerance.
+inline std::optional<Pose> pose_within(const double* m, double tolerance) {
   if (!is_near(m, 16) || m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return {};
   const Pose pose{{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
   const Mat3 square = transposed(pose.R) * pose.R, eye;
   for (int i = 0; i < 9; ++i)
-    if (!(std::abs(square.m[i] - eye.m[i]) <= kExactRotation)) return {};
+    if (!(std::abs(square.m[i] - eye.m[i]) <= tolerance)) return {};
   if (determinant(pose.R) < 0.0) return {};
+  return pose;
+}
+
+// A pose, if its rotation is one up to rounding and it is near.
+inline std::optional<Pose> exact_pose(const double* m) { return pose_within(m, kExactRotation); }
+
+// A pose as trackers have them, in floats or as products of many: with the rotation nearest to it.
+inline std::optional<Pose> tracked_pose(const double* m) {
+  if (const std::optional<Pose> exact = exact_pose(m)) return exact;
+  std::optional<Pose> pose = pose_within(m, kRotationTolerance);
+  if (pose) pose->R = nearest_rotation(pose->R);
   return pose;
 }
 
@@ -88,6 +99,11 @@ class JointReader {
     for (size_t j = 0; j < size(); ++j)
       if (!(q[j] >= tree_.lower[j] && q[j] <= tree_.upper[j])) return false;
     return true;
+  }
+
+  // How far a joint is outside its limits at an angle; NaN where that is none.
+  double outside(size_t j, double q) const {
+    return std::isnan(q) ? q : std::max({tree_.lower[j] - q, q - tree_.upper[j], 0.0});
   }
 
   // Points move with the wrist, which the tree has at its origin.

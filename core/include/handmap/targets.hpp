@@ -160,9 +160,8 @@ inline void append(const std::vector<Vec3>& from, Vector& to) {
   for (const Vec3& p : from) to.insert(to.end(), {p.x, p.y, p.z});
 }
 inline void append(const Pose& pose, Vector& to) {
-  for (int i = 0; i < 3; ++i)
-    to.insert(to.end(), {pose.R(i, 0), pose.R(i, 1), pose.R(i, 2), pose.p[i]});
-  to.insert(to.end(), {0.0, 0.0, 0.0, 1.0});
+  to.resize(to.size() + 16);
+  write_pose(pose, to.data() + to.size() - 16);
 }
 
 inline void append(const Vec3& v, Vector& to) { to.insert(to.end(), {v.x, v.y, v.z}); }

@@ -73,6 +73,14 @@ struct Pose {
 inline Pose pose_of(const double* m) {
   return {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
 }
+inline void write_pose(const Pose& pose, double* m) {
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) m[4 * i + j] = pose.R(i, j);
+    m[4 * i + 3] = pose.p[i];
+  }
+  m[12] = m[13] = m[14] = 0.0;
+  m[15] = 1.0;
+}
 inline Vec3 operator*(const Pose& a, const Vec3& v) { return a.R * v + a.p; }
 inline Pose operator*(const Pose& a, const Pose& b) { return {a.R * b.R, a.R * b.p + a.p}; }
 inline Pose inverse(const Pose& a) { return {transposed(a.R), -tmul(a.R, a.p)}; }

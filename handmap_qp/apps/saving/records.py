@@ -30,6 +30,7 @@ from handmap_qp.mapping.methods.homogeneous import BoundHomogeneous, Homogeneous
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.stream.grasp import grasp_fingers
 from handmap_qp.trackers.plausibility import layout_orders
+from .follower import follower_model
 
 
 def saved_bytes(mapper: HandMapper | RobotMapper) -> bytes:
@@ -57,7 +58,8 @@ def saved_bytes(mapper: HandMapper | RobotMapper) -> bytes:
                 method=_method(mapper, source),
                 collisions=collisions,
                 settings=_settings(mapper, source),
-            )
+            ),
+            follower_model(mapper),
         )
     sources = [*mapper.sources.values()]
     return written(
