@@ -24,39 +24,38 @@ BEGIN, END = "<!-- table: docs/layouts.py -->", "<!-- end of the table -->"
 READ = """
     handmap retarget recording.npz --layout {name} --robot allegro_right
 
-`load_layout("{name}").read(values, time=seconds, side="right")` reads one sample. A session of the
-service takes `layout="{name}"`. [Trackers](../trackers.md) says what else there is to know.
+In Python, `load_layout("{name}").read(values, time=seconds, side="right")` reads one sample. In a
+session of the service, open it with `layout="{name}"`. See also [Trackers](../trackers.md).
 """
+LEGEND = (
+    "Blue points are landmarks, grey points are ignored. Arrows are the axes of the wrist pose: x "
+    "red, y green, z\nblue. Lines connect the index of an angle with its joint."
+)
 
 
 def page(layout: Layout) -> str:
     """Return the page of one layout as Markdown."""
     lines = [f"# {layout.name}", "", f"{layout.title}.", READ.format(name=layout.name)]
     lines += [f"![{layout.name}](../images/layout_{layout.name}.png)", ""]
-    lines += [
-        "Blue points are landmarks, grey ones are not read. Arrows are the axes of the wrist's"
-    ]
-    lines += [
-        "pose: x red, y green, z blue. Lines lead from numbers of angles to the joints they turn.",
-        "",
-    ]
+    lines += [LEGEND, ""]
     facts = {
         "one sample": layout.values,
-        "shapes": " or ".join(f"`{shape}`" for shape in layout.shapes),
+        "shapes": _shapes(layout),
         "unit": layout.unit,
         "axes": layout.axes,
     }
     if layout.mirror:
         facts["handedness"] = f"left-handed; {layout.mirror} is negated"
     facts["wrist pose"] = _wrist(layout)
-    facts["does not have"] = "; ".join(layout.missing) or "-"
+    facts["not given"] = "; ".join(layout.missing) or "-"
     lines += [
         "| | |",
         "|---|---|",
         *(f"| {name} | {text} |" for name, text in facts.items()),
         "",
     ]
-    lines += ["| index | there | here |", "|---|---|---|"]
+    index, name, *ours = layout.rows()[0]
+    lines += [f"| {index} | {name} | {' / '.join(ours)} |", "|---|---|---|"]
     lines += [f"| {a} | {b} | {c} |" for a, b, c in _order(layout)]
     sources = ", ".join(_link(source) for source in layout.sources)
     return "\n".join([*lines, "", f"Sources: {sources}", ""])
@@ -68,10 +67,12 @@ def overview(text: str) -> str:
     _, _, tail = rest.partition(END)
     rows = [
         f"| [{layout.name}](trackers/{layout.name}.md) | {layout.title} "
-        f"| {layout.values} |"
+        f"| {_shapes(layout)} |"
         for layout in LAYOUTS.values()
     ]
-    table = "\n".join(["| layout | tracker | one sample |", "|---|---|---|", *rows])
+    table = "\n".join(
+        ["| layout | tracker | shape of a sample |", "|---|---|---|", *rows]
+    )
     return f"{head}{BEGIN}\n{table}\n{END}{tail}"
 
 
@@ -82,6 +83,10 @@ def pages() -> dict[Path, str]:
         for layout in LAYOUTS.values()
     }
     return {OVERVIEW: overview(OVERVIEW.read_text(encoding="utf-8")), **found}
+
+
+def _shapes(layout: Layout) -> str:
+    return " or ".join(f"`{shape}`" for shape in layout.shapes)
 
 
 def _wrist(layout: Layout) -> str:

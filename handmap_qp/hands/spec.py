@@ -74,8 +74,8 @@ class PointSpec(Document, frozen=True):
         partner: On a robot, the human point whose residual it follows in part (see
             `residual_gain`). If omitted, the human point of the same name. If there is none, the
             last point of a named finger has the partner `<finger>_tip`.
-        pad: Pad of the finger, on one point of it. If omitted, it is found in the collision shapes.
-            Give it for a soft cover or another fingertip that the URDF does not have.
+        pad: Pad of the finger, on one of its points. If omitted, it is computed from the collision
+            shapes. Give it for a soft cover or a fingertip that the URDF does not have.
     """
 
     name: str
@@ -175,7 +175,7 @@ class ArmSpec(Document, frozen=True):
         rest: Rest position of every joint [rad or m].
         xyz: Origin of the hand's root link in the tip's frame [m].
         rpy: Roll, pitch and yaw of the hand's root link there, as in a URDF [rad].
-        root: Link that stands still; the URDF's own root if omitted.
+        root: Link that is fixed to the world; the root of the URDF if omitted.
         without: Links to remove with all their descendants, such as a gripper.
         locked: Positions of movable joints to hold still [rad or m].
         limits: Limits by joint, in place of the URDF's.
@@ -274,8 +274,8 @@ class HandSpec(_HandFields, frozen=True):
             waist; see `Hand.carries_limbs`.
         upright: Which axes of the world of a hand on an arm are up and forward, of its root link
             without `arm`; those of REP 103 if omitted.
-        tuning: What `handmap calibrate-actuators` found of one hand and its motors, for
-            `handmap drive`.
+        tuning: Parameters of one hand and its motors, for `handmap drive --tuning`, as `handmap
+            calibrate-actuators` writes them.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
         file: The file that the description was read from, for messages; None if built in code.

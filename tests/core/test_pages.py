@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from marks import rotated
+from patience import PATIENCE
 from service_tools import address_of, serving
 
 import handmap_qp
@@ -71,7 +72,8 @@ def test_python_code_runs(
     np.savez("hand.npz", landmarks=recording.landmarks)
     with serving() if "Client()" in code else nullcontext() as server:
         if server is not None:
-            code = code.replace("Client()", f"Client({address_of(server)!r})")
+            client = f"Client({address_of(server)!r}, timeout={PATIENCE})"
+            code = code.replace("Client()", client)
         exec(compile(code, page.name, "exec"), {"__name__": page.stem})
     assert capsys.readouterr().out or "print(" not in code
 

@@ -7,12 +7,10 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
-from live_cases import moving_hand
 from msgspec import structs
 from patience import wait_until
 from service_tools import (
@@ -24,9 +22,21 @@ from service_tools import (
     serving,
     token_file,
 )
+from webxr_pages import (
+    EMULATION,
+    LAYOUT,
+    RATE,
+    TOKEN,
+    click,
+    open_page,
+    show_hands,
+    start,
+    text,
+    wait_for_text,
+    webxr_joints,
+)
 
 from handmap_core.client.messages import Open
-from handmap_core.human.recording import sample_columns
 from handmap_qp import hand_names, load_hand
 from handmap_qp.apps.live.service import ServiceSource
 from handmap_qp.apps.service import pages
@@ -35,14 +45,9 @@ from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
 from handmap_qp.mapping import assumed_note, assumed_speeds, fist_time, slow_note
 from handmap_qp.trackers.layouts.points import PointLayout
-from handmap_qp.trackers.layouts.tables import load_layout
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("patient")]
-EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
 STATUSES = Path(pages.__file__).with_name("webxr") / "statuses.json"
-TOKEN = "a-token-of-the-tests"
-RATE = 30.0
-LAYOUT = load_layout("webxr25")
 
 
 @pytest.fixture(scope="module")
@@ -63,90 +68,10 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
-def webxr_joints(side: str) -> np.ndarray:
-    """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
-    samples = [each for each in sample_columns(moving_hand(40, side)) if each.valid]
-    return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
-
-
-def open_page(
-    browser: Browser,
-    server: Server,
-    *,
-    more: str = "",
-    token: str = TOKEN,
-    words: str = "?right=allegro_right&left=three_finger",
-) -> None:
-    """Load the page with an emulated headset, changed by `more` before the page's own script."""
-    browser.open("about:blank")
-    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)[
-        "identifier"
-    ]
-    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}#token={token}")
-    browser.wait_for("document.querySelector('#left .state')?.textContent")
-    browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
-
-
-def text(browser: Browser, selector: str) -> str:
-    return browser.evaluate(
-        f"document.querySelector({json.dumps(selector)}).textContent"
-    )
-
-
-def click(browser: Browser, selector: str) -> None:
-    """Click in the middle of an element, as a user does.
-
-    The page may move the element after its place was read, so look whether the click reached it.
-    """
-    element = f"document.querySelector({json.dumps(selector)})"
-    browser.evaluate(
-        "window.wasClicked = false;"
-        f"{element}.addEventListener('click', () => {{ window.wasClicked = true; }},"
-        " { capture: true, once: true }); 0"
-    )
-
-    def is_clicked() -> bool:
-        if browser.evaluate(f"{element}.disabled"):
-            return False
-        x, y = browser.evaluate(
-            f"(() => {{ const element = {element};"
-            "element.scrollIntoView({block: 'center'});"
-            "const box = element.getBoundingClientRect();"
-            "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
-        )
-        browser.click(x, y)
-        return browser.evaluate("window.wasClicked")
-
-    wait_until(is_clicked, f"no click reaches {selector}")
-
-
-def wait_for_text(browser: Browser, selector: str, part: str) -> None:
-    query = f"document.querySelector({json.dumps(selector)}).textContent"
-    browser.wait_for(f"{query}.includes({json.dumps(part)})")
-
-
-def show_hands(browser: Browser, *sides: str) -> None:
-    """Let the emulated headset see moving hands, to and fro without jumps."""
-    joints = {side: webxr_joints(side).tolist() for side in sides}
-    browser.evaluate(
-        f"window.joints = {json.dumps(joints)}; window.sample = 0; emulated.hands = {{}};"
-        "emulated.beforeFrame = () => { sample += 1; for (const side in joints)"
-        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }; 0"
-    )
-
-
 def sessions(server: Server) -> dict[str, Session]:
     sessions = server.dispatcher.sessions
     found = in_loop(server, lambda: list(sessions.by_secret.values()))
     return {session.name: session for session in found}
-
-
-def start(browser: Browser, server: Server, **choices: Any) -> None:
-    open_page(browser, server, **choices)
-    browser.evaluate(f"emulated.rate = {RATE}; 0")
-    wait_for_text(browser, "#state", "Ready")
-    click(browser, "#start-vr")
-    wait_for_text(browser, "#state", "Waiting for hands")
 
 
 def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
