@@ -41,7 +41,7 @@ from .contact_gap import (
     smallest_gap,
     tip_gaps,
 )
-from .fit import HumanMotion, LandmarkFitter, fit_recording
+from .fit import HumanMotion, LandmarkFitter, expect_fitted, fit_recording
 from .measure import (
     by_parts,
     check_length,
@@ -79,6 +79,7 @@ __all__ = [
     "check_length",
     "check_side",
     "clipped_gap",
+    "expect_fitted",
     "finger_chains",
     "finite_samples",
     "fit_recording",

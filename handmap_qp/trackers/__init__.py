@@ -38,6 +38,7 @@ from .formats.long import (
     all_long,
     blocks_of,
     in_memory,
+    in_pieces,
     pieces_of,
 )
 from .layouts import LAYOUTS
@@ -82,6 +83,7 @@ __all__ = [
     "format_to_write",
     "hints",
     "in_memory",
+    "in_pieces",
     "known_orders",
     "layout_hint",
     "list_sources",

@@ -61,6 +61,41 @@ class LongRecording:
         """Number of samples."""
         return self.count
 
+    @property
+    def has_all(self) -> bool:
+        """Whether the overview is the recording: it has all samples."""
+        return len(self.overview) == self.count
+
+    def instants(self) -> Array:
+        """Return the instants of all samples [s], shape (T,)."""
+        if self.has_all:
+            return self.overview.time
+        return np.concatenate([part.time for part in self.parts()])
+
+    def steps(self) -> Array:
+        """Return `Recording.steps` of all samples [s], shape (T,)."""
+        if self.has_all:
+            return self.overview.steps
+        steps = np.diff(self.instants())
+        return np.insert(steps, 0, np.median(steps))
+
+    def whole(self) -> Recording:
+        """Read all samples into the memory."""
+        if self.has_all:
+            return self.overview
+        return overview_of(self.parts(), [slice(0, self.count)])
+
+    def without_overview(self) -> LongRecording:
+        """Return it with its first samples alone in memory, for what takes each sample once."""
+        head = part_of(self.overview, slice(0, PIECE))
+        return replace(self, overview=head, blocks=[slice(0, len(head))])
+
+    def with_overview(self) -> LongRecording:
+        """Return it with the overview that a recording of its length has."""
+        if self.has_all:
+            return self
+        return LongRecording.opened(self.parts, self.count)
+
     def changed(self, change: Callable[[Recording], Recording]) -> LongRecording:
         """Return it with a change that each sample takes by itself, such as `mirrored`."""
         parts = self.parts
@@ -126,7 +161,7 @@ def all_long(
     if not any(isinstance(each, LongRecording) for each in recordings):
         return None
     found = [
-        each if isinstance(each, LongRecording) else _pieced(each)
+        each if isinstance(each, LongRecording) else in_pieces(each)
         for each in recordings
     ]
     most = len(found) * _BLOCKS * _BLOCK_OF_BOTH
@@ -144,7 +179,7 @@ def all_long(
     ]
 
 
-def _pieced(recording: Recording) -> LongRecording:
+def in_pieces(recording: Recording) -> LongRecording:
     """Return a recording that is in the memory, to be read by pieces as a long one is."""
 
     def parts() -> Iterator[Recording]:
@@ -163,7 +198,7 @@ def _within(recording: LongRecording, firsts: Array, lasts: Array) -> LongRecord
         firsts: First instants of the spans [s], shape (b,).
         lasts: Their last instants [s], shape (b,).
     """
-    time = np.concatenate([part.time for part in recording.parts()])
+    time = recording.instants()
     starts = np.searchsorted(time, firsts, "left")
     stops = np.searchsorted(time, lasts, "right")
     blocks = [
@@ -233,7 +268,7 @@ def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recordin
             end = min(start + len(part), block.stop)
             if begin < end:
                 at = offset + begin - block.start
-                for name, column in _columns_of(part):
+                for name, column in columns_of(part):
                     if name not in columns:
                         columns[name] = np.empty(
                             (size, *column.shape[1:]), column.dtype
@@ -261,7 +296,7 @@ def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recordin
     return Recording(**words, **columns)
 
 
-def _columns_of(part: Recording) -> list[tuple[str, Array]]:
+def columns_of(part: Recording) -> list[tuple[str, Array]]:
     """Return the columns that a recording has, by name."""
     values = [(field.name, getattr(part, field.name)) for field in fields(part)]
     return [(name, value) for name, value in values if isinstance(value, Array)]
