@@ -54,6 +54,7 @@ from handmap_qp.trackers import (
     read_long_hands,
     read_long_with_layout,
     read_with_layout,
+    side_with_layout,
 )
 
 
@@ -175,7 +176,8 @@ class InputArguments:
     def side_of(self, path: Path) -> Side:
         """Return which hand a recording is of; of a file with both, the right one is taken."""
         if self.layout is not None:
-            return in_memory(self.read_long(path, "right")).side
+            layout = load_layout(self.layout)
+            return side_with_layout(path, layout, self.side, self.fps)
         with _hinting_layout(path):
             return self._source(path, "right").entry.side
 

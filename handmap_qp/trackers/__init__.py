@@ -45,7 +45,7 @@ from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
 from .layouts.files import layout_hint, read_with_layout
-from .layouts.long_files import read_long_with_layout
+from .layouts.long_files import read_long_with_layout, side_with_layout
 from .layouts.markers import MarkerLayout
 from .layouts.points import PointLayout
 from .layouts.tables import load_layout, table_text
@@ -99,6 +99,7 @@ __all__ = [
     "reading",
     "recording_facts",
     "save_npz",
+    "side_with_layout",
     "sized_human",
     "table_text",
     "write_npz",

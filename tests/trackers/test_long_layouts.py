@@ -18,7 +18,7 @@ from handmap_qp.human import PALM, HumanSample, Recording, landmarks_at_rest
 from handmap_qp.trackers import LAYOUTS, Layout, LongRecording, read_long_with_layout
 from handmap_qp.trackers.layouts.base import sized_human
 
-BY_PIECES = [name for name, layout in LAYOUTS.items() if layout.is_by_sample]
+COSTLY = [name for name, layout in LAYOUTS.items() if layout.is_costly]
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +45,7 @@ def written(folder: Path, layout: Layout, count: int = 230, **changes: Any) -> P
     rows[120] = np.nan
     arrays: dict[str, Any] = {
         "time": 5.0 + np.arange(count) / 30.0,
-        layout.arrays[0]: rows,
+        layout.arrays[0] if layout.arrays else "values": rows,
         "handedness": np.array("right"),
         "valid": np.arange(count) % 70 != 60,
     }
@@ -65,7 +65,7 @@ def as_whole(file: Path, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Rec
     return found
 
 
-@pytest.mark.parametrize("name", BY_PIECES)
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_pieces_are_the_recording_to_the_last_bit(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,18 +136,6 @@ def test_a_fault_is_named_as_in_a_short_recording(
         monkeypatch.setattr(f"{FORMATS}.long._BLOCK", 10)
         with pytest.raises(RecordingError, match=r"increasing|millimetres"):
             read_long_with_layout(file, layout)
-
-
-@pytest.mark.parametrize("name", ["angles20", "markers13"])
-def test_samples_that_depend_on_each_other_are_read_as_a_whole(
-    name: str, tmp_path: Path
-) -> None:
-    layout = LAYOUTS[name]
-    human = sized_human("right")
-    values = layout.write_posture(human, human.rest, np.eye(4))
-    file = tmp_path / "hours.npz"
-    np.savez(file, time=np.arange(60) / 30.0, values=np.array([values] * 60))
-    assert isinstance(read_long_with_layout(file, layout, "right"), Recording)
 
 
 def test_memory_does_not_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

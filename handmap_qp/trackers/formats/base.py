@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from handmap_core.errors import (
+    DiskFullError,
     HandmapError,
     InvalidInputError,
     RecordingError,
@@ -301,11 +302,14 @@ def reading(
         table: A `csv.reader`, whose line is at fault.
 
     Raises:
+        DiskFullError: As the block.
         RecordingError: For every other error of the block.
     """
     try:
         yield
     except Exception as error:
+        if isinstance(error, DiskFullError):
+            raise
         if isinstance(error, InvalidInputError):
             array += error.argument
             problem = f"{error.what}: {error.advice}" if error.advice else error.what

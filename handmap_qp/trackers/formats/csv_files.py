@@ -31,6 +31,7 @@ from .long import PIECE, LongRecording
 from .pieces import OPTIONAL, open_pieces
 
 Row = list[str]
+_NO_ROWS = "has no rows below its header"
 
 
 class CsvFormat(WrittenByPieces):
@@ -199,8 +200,19 @@ def numbers(
     """
     table = [[_number(name, row[header[name]]) for name in names] for row in rows]
     if not table:
-        raise InvalidInputError("has no rows below its header")
+        raise InvalidInputError(_NO_ROWS)
     return dict(zip(names, np.transpose(table), strict=True))
+
+
+def numbers_of_column(
+    rows: Iterable[Row], header: Mapping[str, int], name: str
+) -> Array:
+    """Read one column of a table of any length, shape (T,); arguments and errors as `numbers`."""
+    place = header[name]
+    column = np.fromiter((_number(name, row[place]) for row in rows), float)
+    if not len(column):
+        raise InvalidInputError(_NO_ROWS)
+    return column
 
 
 def _number(name: str, text: str) -> float:
