@@ -199,9 +199,12 @@ def _made(folder: Path, frames: int, form: str, layout: Layout | None) -> Path:
 def make_table(file: Path, frames: int, layout: Layout) -> Path:
     """Write a recording of the right hand as a table of a layout's columns."""
     values = layout_values(layout)
-    texts = [
-        ",".join(map(repr, row)) for row in values.reshape(len(values), -1).tolist()
-    ]
+    if values[0].size > len(layout.columns):
+        # Tables of joints have their positions.
+        is_matrix = values.shape[2:] == (4, 4)
+        values = values[..., :3, 3] if is_matrix else values[..., :3]
+    rows = values.reshape(len(values), -1).tolist()
+    texts = [",".join(map(repr, row)) for row in rows]
     with file.open("w") as stream:
         stream.write(f"time,{','.join(layout.columns)}\n")
         for i in range(frames):
