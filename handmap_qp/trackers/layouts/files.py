@@ -3,7 +3,7 @@
 Files in the package's own forms need no layout; `handmap_qp.trackers.formats` reads them.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from handmap_core.errors import InvalidInputError, RecordingError, expect
 from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import OTHER_SIDE, HumanLengths, Names, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import read_archive, read_headers
 from handmap_qp.trackers.formats.base import (
     SIDES,
     TIME_UNITS,
@@ -164,18 +164,19 @@ def layout_hint(path: Path) -> str:
     """
     if path.suffix.lower() == ".npz":
         with suppress(RecordingError):
-            return _shaped_like(read_archive(path))
+            headers = read_headers(path)
+            return _shaped_like({name: each.shape for name, each in headers.items()})
     return ""
 
 
-def _shaped_like(arrays: Arrays) -> str:
+def _shaped_like(shapes: Mapping[str, tuple[int, ...]]) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
-    for name, array in arrays.items():
-        shape = array.shape[1:]
-        is_plain = shape in ((), (LANDMARK_COUNT, 3))
-        names = " or ".join([] if is_plain else layouts_of_shape(shape))
+    for name, shape in shapes.items():
+        sample = shape[1:]
+        is_plain = sample in ((), (LANDMARK_COUNT, 3))
+        names = " or ".join([] if is_plain else layouts_of_shape(sample))
         if names:
-            return f"{name} {array.shape} has the shape of --layout {names}"
+            return f"{name} {shape} has the shape of --layout {names}"
     return ""
 
 
@@ -226,10 +227,10 @@ def _values_name(
     )
     how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape {shapes}"
-    have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
-    listing = f"it has {', '.join(have)}"
-    hint = "" if chosen else _shaped_like(arrays)
-    raise InvalidInputError(f"{problem}; {hint or listing}")
+    have = {name: array.shape for name, array in arrays.items()}
+    listing = ", ".join(f"{name} {shape}" for name, shape in have.items() if shape)
+    hint = "" if chosen else _shaped_like(have)
+    raise InvalidInputError(f"{problem}; {hint or f'it has {listing}'}")
 
 
 def _wrists_name(
