@@ -43,6 +43,7 @@ from .contact_gap import (
 )
 from .fit import HumanMotion, LandmarkFitter, expect_fitted, fit_recording
 from .measure import (
+    ChosenRows,
     by_parts,
     check_length,
     measure_hand,
@@ -62,6 +63,7 @@ __all__ = [
     "TIPS",
     "TOUCH_GAP",
     "UNSEEN",
+    "ChosenRows",
     "ContactGapMeter",
     "Finding",
     "HumanMotion",

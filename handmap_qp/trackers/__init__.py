@@ -40,6 +40,7 @@ from .formats.long import (
     in_memory,
     in_pieces,
     pieces_of,
+    without_overview,
 )
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
@@ -102,6 +103,7 @@ __all__ = [
     "side_with_layout",
     "sized_human",
     "table_text",
+    "without_overview",
     "write_npz",
     "write_recordings",
 ]

@@ -68,7 +68,7 @@ def measure_leaning(robot: Hand, q: Array, at_limit: Array | None = None) -> Lea
     carries = np.flatnonzero(robot.carries_limbs)
     return Leaning(
         joints=tuple(robot.joint_names[i] for i in carries),
-        away=np.abs(q - robot.rest)[:, carries],
+        away=np.abs(q[:, carries] - robot.rest[carries]),
         at_limit=at_limit[:, carries],
         is_angle=~are_prismatic(robot)[carries],
     )

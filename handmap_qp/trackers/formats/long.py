@@ -92,7 +92,7 @@ class LongRecording:
 
     def with_overview(self) -> LongRecording:
         """Return it with the overview that a recording of its length has."""
-        if self.has_all:
+        if self.has_all or self.blocks == blocks_of(self.count):
             return self
         return LongRecording.opened(self.parts, self.count)
 
@@ -150,10 +150,21 @@ def in_memory(recording: Recording | LongRecording) -> Recording:
     return recording
 
 
+def without_overview(
+    recording: Recording | LongRecording,
+) -> Recording | LongRecording:
+    """Return a recording that takes little memory if it is long: see `LongRecording`."""
+    if isinstance(recording, LongRecording):
+        return recording.without_overview()
+    return recording
+
+
 def all_long(
     recordings: Sequence[Recording | LongRecording],
 ) -> list[LongRecording] | None:
     """Return the recordings of both hands of a person to be read by pieces; None if none is long.
+
+    They have overviews, also if those that were given have none (`without_overview`).
 
     If both have more samples together than blocks of `_BLOCK_OF_BOTH`, their overviews show the
     same spans of time: blocks of the one that has most samples.
@@ -166,7 +177,7 @@ def all_long(
     ]
     most = len(found) * _BLOCKS * _BLOCK_OF_BOTH
     if len(found) == 1 or sum(map(len, found)) <= most:
-        return found
+        return [each.with_overview() for each in found]
     index = max(range(len(found)), key=lambda i: len(found[i]))
     blocks = _spread(len(found[index]), _BLOCK_OF_BOTH)
     leading = _with_blocks(found[index], blocks)
