@@ -89,7 +89,7 @@ def summarise(trajectory: Trajectory) -> Values:
         ],
         "arm_out_of_reach": _arm(trajectory),
         "leaning": measure_leaning(
-            robot, trajectory.q[seen], trajectory.at_limit[seen]
+            robot, trajectory.q, trajectory.at_limit, samples=seen
         ).rows,
     }
     return plain_values(found)
