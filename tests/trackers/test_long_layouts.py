@@ -23,6 +23,7 @@ from handmap_qp.trackers import (
     Layout,
     LongRecording,
     read_long_with_layout,
+    side_with_layout,
 )
 from handmap_qp.trackers.layouts.base import Hands, HandsOf, sized_human
 
@@ -217,20 +218,21 @@ def test_a_fault_is_named_as_in_a_short_recording(
         ("markers13", "number"),
     ],
 )
-def test_a_fault_of_the_last_piece_is_named_as_in_a_short_recording(
-    name: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("line", [100, -3])
+def test_a_fault_of_any_piece_is_named_as_in_a_short_recording(
+    name: str, fault: str, line: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     layout = LAYOUTS[name]
     file = tabulated(tmp_path, layout)
     lines = file.read_text().splitlines()
-    cells = lines[-3].split(",")
+    cells = lines[line].split(",")
     if fault == "unit":
         cells[1:] = [repr(1e9 * float(cell)) for cell in cells[1:]]
     elif fault == "sign":
         cells[1:] = [repr(-5.0 * float(cell)) for cell in cells[1:]]
     else:
         cells[-1] = "oops"
-    lines[-3] = ",".join(cells)
+    lines[line] = ",".join(cells)
     file.write_text("\n".join(lines) + "\n")
     with pytest.raises(RecordingError) as expected:
         as_whole(file, layout, monkeypatch)
@@ -285,3 +287,22 @@ def test_memory_does_not_grow(
             assert sum(len(part) for part in long.parts()) == count
     # Instants and flags; a sample has up to 1456 bytes, and its landmarks 504.
     assert peaks[1] - peaks[0] < 100 * 3000
+
+
+@pytest.mark.parametrize("name", ["angles20", "openxr26"])
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_the_side_is_known_without_landmarks(
+    name: str, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layout = LAYOUTS[name]
+    file = (tabulated if suffix == "csv" else written)(tmp_path, layout)
+
+    def unwanted(*words: Any) -> HandsOf:
+        raise AssertionError
+
+    monkeypatch.setattr(type(layout), "follow", unwanted)
+    given = "left" if suffix == "csv" else None
+    assert side_with_layout(file, layout, given) == (given or "right")
+    if suffix == "csv":
+        with pytest.raises(RecordingError, match="--side"):
+            side_with_layout(file, layout)

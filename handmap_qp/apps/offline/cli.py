@@ -125,6 +125,8 @@ class Retarget:
             summaries.append(summary)
             if self.picture:
                 motions.append(motion)
+            # Free it before that of the other hand is made.
+            del motion
         if self.picture:
             with progress("drawing"):
                 save_moments(self.picture, motions)
