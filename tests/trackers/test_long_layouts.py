@@ -306,3 +306,16 @@ def test_the_side_is_known_without_landmarks(
     if suffix == "csv":
         with pytest.raises(RecordingError, match="--side"):
             side_with_layout(file, layout)
+
+
+def test_fits_of_markers_are_not_kept(tmp_path: Path) -> None:
+    layout = LAYOUTS["markers13"]
+    values = np.load(written(tmp_path, layout))[layout.arrays[0]][-70:]
+    values = values[np.isfinite(values).all(axis=(1, 2))]
+    peaks: list[int] = []
+    for count in (60, 60, 240):
+        rows = np.resize(values, (count, *values.shape[1:]))
+        with traced_peak(peaks):
+            layout.convert(rows, "right", None, None, None)
+    # The first run loads the human hand. A fit has 40 kB, and landmarks and wrist 632 bytes.
+    assert peaks[2] - peaks[1] < 180 * 3000

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from handmap_core.errors import expect
 from handmap_core.se3 import FARTHEST, Array, rigid_fit, transform_points
 from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
+from handmap_qp.human import LANDMARK_COUNT
 from handmap_qp.ik import IkOptions, PointIk
 from .base import Hands, HandsOf, Layout, Rows, sized_human
 
@@ -62,11 +63,14 @@ class _MarkerFit:
             wrist = rigid_fit(palm, markers[0, self._on_palm])
             self._ik.place(human.configuration_vector(human.rest, wrist))
             self._is_placed = True
-        fits = [self._ik.solve(sample, None, 1.0) for sample in markers]
-        found = [
-            self._landmarks.points(fit.q[human.q_indices], fit.wrist) for fit in fits
-        ]
-        return np.array(found), np.array([fit.wrist for fit in fits])
+        landmarks = np.empty((len(markers), LANDMARK_COUNT, 3))
+        poses = np.empty((len(markers), 4, 4))
+        for i, sample in enumerate(markers):
+            # A fit takes 40 kB: none is kept.
+            fit = self._ik.solve(sample, None, 1.0)
+            poses[i] = fit.wrist
+            landmarks[i] = self._landmarks.points(fit.q[human.q_indices], fit.wrist)
+        return landmarks, poses
 
 
 class MarkerLayout(Layout, tag="markers", kw_only=True):
