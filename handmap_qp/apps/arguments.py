@@ -54,6 +54,8 @@ from handmap_qp.trackers import (
     read_long_hands,
     read_long_with_layout,
     read_with_layout,
+    side_with_layout,
+    without_overview,
 )
 
 
@@ -175,7 +177,8 @@ class InputArguments:
     def side_of(self, path: Path) -> Side:
         """Return which hand a recording is of; of a file with both, the right one is taken."""
         if self.layout is not None:
-            return in_memory(self.read_long(path, "right")).side
+            layout = load_layout(self.layout)
+            return side_with_layout(path, layout, self.side, self.fps)
         with _hinting_layout(path):
             return self._source(path, "right").entry.side
 
@@ -208,19 +211,20 @@ class InputArguments:
     ) -> dict[Side, Recording | LongRecording]:
         """Read both hands as `read_both`, or open those to be read by pieces that are long.
 
+        Those have no overviews: see `all_long`.
+
         Raises:
             HandmapError: As `read_both`.
         """
         self._expect_both(mirror=mirror)
         if self.layout is not None:
             return {
-                side: replace(self, side=side).read_long(path, person=person)
+                side: without_overview(
+                    replace(self, side=side).read_long(path, person=person)
+                )
                 for side, path in _one_of_each(paths)
             }
-        hands = read_long_hands(paths, fps=self.fps)
-        for found in hands.values():
-            check_recording(in_memory(found))
-        return hands
+        return read_long_hands(paths, fps=self.fps, check=check_recording)
 
     def _expect_both(self, *, mirror: bool) -> None:
         """Reject options that both hands cannot have."""
@@ -438,6 +442,8 @@ def read_long_robot(
     name: str, files: Sequence[Path], command: Any
 ) -> tuple[Hand, Sequence[Recording | LongRecording]]:
     """Read a robot as `read_robot`, and open long recordings to read them by pieces.
+
+    Those of both hands have no overviews: see `all_long`.
 
     Raises:
         HandmapError: As `read_robot`.

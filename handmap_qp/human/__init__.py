@@ -41,8 +41,9 @@ from .contact_gap import (
     smallest_gap,
     tip_gaps,
 )
-from .fit import HumanMotion, LandmarkFitter, fit_recording
+from .fit import HumanMotion, LandmarkFitter, expect_fitted, fit_recording
 from .measure import (
+    ChosenRows,
     by_parts,
     check_length,
     measure_hand,
@@ -62,6 +63,7 @@ __all__ = [
     "TIPS",
     "TOUCH_GAP",
     "UNSEEN",
+    "ChosenRows",
     "ContactGapMeter",
     "Finding",
     "HumanMotion",
@@ -79,6 +81,7 @@ __all__ = [
     "check_length",
     "check_side",
     "clipped_gap",
+    "expect_fitted",
     "finger_chains",
     "finite_samples",
     "fit_recording",

@@ -14,6 +14,7 @@ from handmap_core.core import core
 from handmap_core.human.recording import Recording
 from handmap_core.human.sample import TIPS
 from handmap_core.se3 import Array, lengths
+from .measure import seen_landmarks
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""
@@ -69,8 +70,8 @@ def measure_contact_gap(recording: Recording) -> float:
     Returns:
         The contact gap of tracker and person, from 12 to 20 mm [m].
     """
-    seen = recording.valid
-    return clipped_gap(smallest_gap(recording.time[seen], recording.landmarks[seen]))
+    time = recording.time[recording.valid]
+    return clipped_gap(smallest_gap(time, seen_landmarks(recording)))
 
 
 def clipped_gap(gap: float) -> float:

@@ -118,6 +118,12 @@ class LandmarkFitter:
         self._q = postures[costs.argmin(axis=0), _EACH]
         return self._q.flatten(), wrist
 
+    def fitting(self, recording: Recording) -> Array:
+        """Tell which samples `fit` takes: valid ones whose palm is of the hand's size, (T,)."""
+        valid = recording.valid.copy()
+        valid[valid] = self.palm.fits(recording.landmarks[valid])
+        return valid
+
     def _fits(self, local: Array) -> list[_Fit]:
         """Fit a first sample from several postures, any other from the one before.
 
@@ -148,6 +154,20 @@ class LandmarkFitter:
         return posture, np.vecdot(residuals, residuals)
 
 
+def expect_fitted(*, is_any: bool) -> None:
+    """Reject a recording of which `LandmarkFitter.fitting` takes no sample.
+
+    Raises:
+        InvalidInputError: If `is_any` is False.
+    """
+    expect(
+        is_any,
+        "landmarks",
+        "a hand that keeps its size",
+        got="no sample as large as the median of all",
+    )
+
+
 def fit_recording(
     recording: Recording, *, lengths: HumanLengths | None = None
 ) -> HumanMotion:
@@ -167,14 +187,8 @@ def fit_recording(
     """
     lengths = lengths or measure_hand(recording)
     fitter = LandmarkFitter(recording.side, lengths)
-    valid = recording.valid.copy()
-    valid[valid] = fitter.palm.fits(recording.landmarks[valid])
-    expect(
-        valid.any(),
-        "landmarks",
-        "a hand that keeps its size",
-        got="no sample as large as the median of all",
-    )
+    valid = fitter.fitting(recording)
+    expect_fitted(is_any=bool(valid.any()))
     fits = zip(*map(fitter.fit, recording.landmarks[valid]), strict=True)
     # The samples before the first fit take it too.
     last = np.maximum(np.cumsum(valid) - 1, 0)

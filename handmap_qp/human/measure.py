@@ -27,7 +27,35 @@ _AT_ONCE = 10_000
 """Samples that are measured at once."""
 
 
-def by_parts(measure: Callable[[Array], Array], rows: Array) -> Array:
+class ChosenRows:
+    """Some rows of an array, which are copied only when they are read.
+
+    Args:
+        rows: The array, shape (T, ...).
+        chosen: Indices of the rows, shape (n,).
+    """
+
+    def __init__(self, rows: Array, chosen: Array) -> None:
+        self._rows = rows
+        self._chosen = chosen
+        self._is_all = len(chosen) == len(rows)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._chosen)
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Return some of the rows, shape (m, ...)."""
+        return self._rows[rows] if self._is_all else self._rows[self._chosen[rows]]
+
+
+def seen_landmarks(recording: Recording) -> Array:
+    """Return the landmarks of the valid samples [m], (n, 21, 3); no copy if all are valid."""
+    valid = recording.valid
+    return recording.landmarks if valid.all() else recording.landmarks[valid]
+
+
+def by_parts(measure: Callable[[Array], Array], rows: Array | ChosenRows) -> Array:
     """Measure the samples of a recording by parts of 10,000, and return all of them.
 
     What is computed on the way of an hour may take more memory than the recording.
@@ -36,7 +64,9 @@ def by_parts(measure: Callable[[Array], Array], rows: Array) -> Array:
         measure: Gives each sample of a part its own row.
         rows: The samples, shape (T, ...).
     """
-    starts = range(0, max(1, len(rows)), _AT_ONCE)
+    if len(rows) <= _AT_ONCE:
+        return measure(rows[:])
+    starts = range(0, len(rows), _AT_ONCE)
     return np.concatenate([measure(rows[start : start + _AT_ONCE]) for start in starts])
 
 
@@ -80,9 +110,9 @@ def measure_hand(recording: Recording) -> HumanLengths:
     expect(
         isinstance(recording, Recording), "recording", "a Recording", value=recording
     )
-    landmarks = recording.landmarks[recording.valid]
+    landmarks = seen_landmarks(recording)
     if recording.side == "left":
-        landmarks *= (-1.0, 1.0, 1.0)
+        landmarks = landmarks * (-1.0, 1.0, 1.0)
     return measure_right_hand(landmarks)
 
 

@@ -38,13 +38,15 @@ from .formats.long import (
     all_long,
     blocks_of,
     in_memory,
+    in_pieces,
     pieces_of,
+    without_overview,
 )
 from .layouts import LAYOUTS
 from .layouts.angles import AngleLayout
 from .layouts.base import Layout, sized_human
 from .layouts.files import layout_hint, read_with_layout
-from .layouts.long_files import read_long_with_layout
+from .layouts.long_files import read_long_with_layout, side_with_layout
 from .layouts.markers import MarkerLayout
 from .layouts.points import PointLayout
 from .layouts.tables import load_layout, table_text
@@ -82,6 +84,7 @@ __all__ = [
     "format_to_write",
     "hints",
     "in_memory",
+    "in_pieces",
     "known_orders",
     "layout_hint",
     "list_sources",
@@ -97,8 +100,10 @@ __all__ = [
     "reading",
     "recording_facts",
     "save_npz",
+    "side_with_layout",
     "sized_human",
     "table_text",
+    "without_overview",
     "write_npz",
     "write_recordings",
 ]

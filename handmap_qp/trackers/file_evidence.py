@@ -16,6 +16,7 @@ the recording.
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from handmap_core.se3 import Array, affine, lengths, nearest_rotation
 from handmap_core.trackers.hand_geometry import BONES, log_size
 from handmap_core.trackers.wrist_axes import palm_axes
-from handmap_qp.human import Recording, by_parts
+from handmap_qp.human import ChosenRows, Recording, by_parts
 
 # -- limits of what is usual
 
@@ -63,6 +64,7 @@ _MOST_PARTS = 10  # parts of a recording of which sizes are compared
 _LEAST_PART = 48  # samples of such a part
 _BLOCK = 8  # samples over which directions and sizes are averaged, so that noise is no change
 _LEAST_REPEATS = 16  # samples that must be the same before that says anything
+_AT_ONCE = 10_000  # samples whose sizes are measured at once
 _MOST = 95.0  # percentile of turns and travels, so that outliers do not count
 
 
@@ -112,22 +114,16 @@ def recording_facts(recording: Recording) -> RecordingFacts:
         recording: The recording; samples that are not valid do not count, nor do those in which a
             bone has another length than usual, because the guard holds the robot in them.
     """
-    seen = recording.valid.copy()
-    is_usual = _has_usual_bones(recording.landmarks[seen])
+    seen = np.flatnonzero(recording.valid)
+    is_usual = _has_usual_bones(ChosenRows(recording.landmarks, seen))
     # Where nothing keeps its length, no sample is better than another.
-    seen[seen] = is_usual | ~is_usual.any()
+    seen = seen[is_usual | ~is_usual.any()]
     time = recording.time[seen]
-    landmarks = recording.landmarks[seen]
-    palms = palm_axes(landmarks, 1.0 if recording.side == "right" else -1.0)
-    # The palm of the landmarks, and the wrist of the tracker if it gives one.
-    poses = [affine(palms, landmarks[:, 0])]
+    landmarks = ChosenRows(recording.landmarks, seen)
+    sign = 1.0 if recording.side == "right" else -1.0
+    palms = by_parts(lambda part: palm_axes(part, sign), landmarks)
     has_wrist = recording.wrist is not None
-    if recording.wrist is not None:
-        poses.append(recording.wrist[seen])
-    moving = np.stack(poses, axis=1)
-    turns = _turns(moving[..., :3, :3])
-    travels = _travels(moving[..., :3, 3])
-    may_repeat = has_wrist and len(moving) >= _LEAST_REPEATS
+    turns, travels, repeats = _motion_of_poses(recording, seen, palms)
     rate, steps = _rate(recording.time)
     growth, trend = _sizes(landmarks)
     return RecordingFacts(
@@ -141,8 +137,8 @@ def recording_facts(recording: Recording) -> RecordingFacts:
         has_wrist=has_wrist,
         wrist_turn=turns[1] if has_wrist else 0.0,
         wrist_travel=travels[1] if has_wrist else 0.0,
-        is_turn_constant=may_repeat and _repeats(moving[:, 1, :3, :3]),
-        is_place_constant=may_repeat and _repeats(moving[:, 1, :3, 3]),
+        is_turn_constant=repeats[0],
+        is_place_constant=repeats[1],
         growth=growth,
         trend=trend,
     )
@@ -159,7 +155,7 @@ def hints(facts: RecordingFacts) -> list[str]:
     return [line for line in found if line]
 
 
-def _has_usual_bones(landmarks: Array) -> Array:
+def _has_usual_bones(landmarks: ChosenRows) -> Array:
     """Tell which samples (T, 21, 3) have bones of about the usual lengths, shape (T,)."""
     starts, ends = np.transpose(BONES)
     # One landmark that overflows must not become a warning.
@@ -168,7 +164,11 @@ def _has_usual_bones(landmarks: Array) -> Array:
             lambda part: lengths(part[:, ends] - part[:, starts]), landmarks
         )
         usual = np.median(bones, axis=0)
-        return (np.abs(bones - usual) < 0.5 * usual + _LOOSE).all(axis=1)
+        most = 0.5 * usual + _LOOSE
+        return by_parts(
+            lambda part: (np.abs(part - usual) < most).all(axis=1),
+            bones,
+        )
 
 
 # -- time
@@ -197,7 +197,7 @@ def _rounding(time: Array) -> float:
     return 0.0
 
 
-def _finger_frequency(time: Array, landmarks: Array, palms: Array) -> float:
+def _finger_frequency(time: Array, landmarks: ChosenRows, palms: Array) -> float:
     """Measure `RecordingFacts.frequency`.
 
     All is counted in samples, and divided by the step at last. So a recording whose time runs at
@@ -208,7 +208,9 @@ def _finger_frequency(time: Array, landmarks: Array, palms: Array) -> float:
     steps = np.diff(time)
     usual = np.median(steps)
     is_break = steps > _BREAK * usual
-    tips = ((landmarks[:, 4::4] - landmarks[:, :1]) @ palms).reshape(len(time), -1)
+    # In the palm's axes.
+    local = by_parts(lambda part: part[:, 4::4] - part[:, :1], landmarks) @ palms
+    tips = local.reshape(len(time), -1)
     stretches = np.split(tips, np.flatnonzero(is_break) + 1)
     # Cycles per sample, without a constant speed.
     frequencies = np.arange(1, _SPECTRUM // 2 + 1) / _SPECTRUM
@@ -271,6 +273,32 @@ def _rounded_time(facts: RecordingFacts) -> str:
 
 
 # -- wrist
+
+
+def _motion_of_poses(
+    recording: Recording, seen: Array, palms: Array
+) -> tuple[list[float], list[float], tuple[bool, bool]]:
+    """Measure the motion of the palm of the landmarks, and of the tracker's wrist if it gives one.
+
+    Args:
+        recording: The recording.
+        seen: Indices of the samples that count, shape (n,).
+        palms: Rotations of the palm in them, shape (n, 3, 3).
+
+    Returns:
+        How far they turn [rad] and travel [m], the palm first; and whether all orientations and all
+        positions of the wrist are exactly the same.
+    """
+    poses = [affine(palms, recording.landmarks[seen, 0])]
+    if recording.wrist is not None:
+        poses.append(recording.wrist[seen])
+    moving = np.stack(poses, axis=1)
+    may_repeat = len(poses) > 1 and len(seen) >= _LEAST_REPEATS
+    repeats = (
+        may_repeat and _repeats(moving[:, 1, :3, :3]),
+        may_repeat and _repeats(moving[:, 1, :3, 3]),
+    )
+    return _turns(moving[..., :3, :3]), _travels(moving[..., :3, 3]), repeats
 
 
 def _turns(rotations: Array) -> list[float]:
@@ -341,7 +369,7 @@ def _equal_parts(rows: Array, count: int) -> tuple[Array, Array]:
     )
 
 
-def _sizes(landmarks: Array) -> tuple[float, float]:
+def _sizes(landmarks: ChosenRows) -> tuple[float, float]:
     """Return `RecordingFacts.growth` and `RecordingFacts.trend`."""
     count = len(landmarks)
     if count < _LEAST_SIZED:
@@ -354,10 +382,17 @@ def _sizes(landmarks: Array) -> tuple[float, float]:
     return math.exp(max(np.ptp(parts), abs(trend))), math.exp(trend)
 
 
-def _log_sizes(landmarks: Array, count: int) -> Array:
-    """Return the logarithm of the hand's size in so many equal parts of a recording."""
-    groups = _equal_parts(landmarks, count)
-    return np.array([log_size(part) for parts in groups for part in parts])
+def _log_sizes(landmarks: ChosenRows, count: int) -> Array:
+    """Return the logarithm of the hand's size in so many parts of a recording (`_equal_parts`)."""
+    length, longer = divmod(len(landmarks), count)
+    ends = [i * length + min(i, longer) for i in range(count + 1)]
+    at_once = max(1, _AT_ONCE // (length + 1))
+    sizes = []
+    for first in range(0, count, at_once):
+        own = ends[first : first + at_once + 1]
+        rows = landmarks[own[0] : own[-1]]
+        sizes += [log_size(rows[i - own[0] : j - own[0]]) for i, j in pairwise(own)]
+    return np.array(sizes)
 
 
 def _changed_size(facts: RecordingFacts) -> str:

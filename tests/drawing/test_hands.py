@@ -1,5 +1,6 @@
 """Shapes are placed by forward kinematics and drawn where the camera projects them."""
 
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -428,3 +429,14 @@ def test_normals_are_smooth_but_at_edges() -> None:
     found = corners(ours.vertices, ours.normals)
     expected = corners(cut.triangles, unit(cut.vertex_normals[cut.faces]))
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_scipy_is_not_imported_before_a_picture_is_drawn() -> None:
+    program = (
+        "import sys, handmap_qp.apps.offline.cli, handmap_qp.apps.datasets.convert\n"
+        "print([name for name in sys.modules if name.startswith('scipy')])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.long_motion import LongMotion, map_long
 from handmap_qp.apps.offline.long_summary import summarise_long
 from handmap_qp.apps.offline.summary import summarise
-from handmap_qp.apps.offline.trajectory import map_hands
+from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.cli import main
 from handmap_qp.hands import Side, load_whole
 from handmap_qp.human import Recording, mirrored
@@ -201,6 +203,25 @@ def test_samples_in_memory_of_a_short_recording_are_all(tmp_path: Path) -> None:
     assert max(len(part) for part in pair[0].parts()) == PIECE
 
 
+def test_overviews_of_both_hands_are_made_when_they_are_needed(tmp_path: Path) -> None:
+    hands = both_hands()
+    seen: list[int] = []
+    found = read_long_hands(
+        written(hands, tmp_path), check=lambda recording: seen.append(len(recording))
+    )
+    assert seen == [len(each) for each in hands]
+    for expected in hands:
+        light = found[expected.side]
+        assert isinstance(light, LongRecording)
+        assert len(light.overview) == PIECE
+        assert len(light) == len(light.instants()) == len(expected)
+        long = light.with_overview()
+        assert long.with_overview() is long
+        for recording in (long.overview, light.whole()):
+            np.testing.assert_array_equal(recording.landmarks, expected.landmarks)
+            np.testing.assert_array_equal(recording.steps, light.steps())
+
+
 def test_memory_does_not_grow_with_the_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,3 +257,24 @@ def test_a_hand_of_a_robot_with_one_is_mapped_by_pieces(tmp_path: Path) -> None:
     assert main(["retarget", str(file), *words]) == 0
     assert len(np.load(out)["time"]) == len(right)
     assert load_hand("three_finger").parts == ()
+
+
+def test_two_robots_do_not_have_their_motions_in_memory_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motions: list[weakref.ref[Trajectory]] = []
+    alive: list[int] = []
+    read = LongMotion.trajectory
+
+    def noted(motion: LongMotion, *blocks: slice) -> Trajectory:
+        gc.collect()
+        alive.append(sum(each() is not None for each in motions))
+        found = read(motion, *blocks)
+        motions.append(weakref.ref(found))
+        return found
+
+    monkeypatch.setattr(LongMotion, "trajectory", noted)
+    files = [str(file) for file in written(both_hands(), tmp_path)]
+    words = ["--robots", "allegro_left", "allegro_right", "--out", str(tmp_path)]
+    assert main(["retarget", *files, *words, "--json"]) == 0
+    assert alive == [0, 0]

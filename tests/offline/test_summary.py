@@ -230,3 +230,20 @@ def test_a_waist_at_its_limit_is_one_line_and_says_how_far_it_bends() -> None:
     # A hand alone cannot lean.
     assert summarise(trajectory)["leaning"] == []
     assert "leans" not in table_rows(summarise(trajectory))
+
+
+@pytest.mark.parametrize("size", [1, 7, 38])
+def test_parts_say_the_same_of_a_motion(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = mapped(0.3)
+    # Beyond a limit in one sample, and quickest and most accelerated at the end.
+    motion = replace(motion, q=np.append(motion.q[:-1], motion.q[-1:] + 9.0, axis=0))
+    expected = summarise(motion)
+    assert expected["limit_violation_max"] > 1.0
+    monkeypatch.setattr("handmap_qp.apps.offline.summary._AT_ONCE", size)
+    monkeypatch.setattr("handmap_qp.human.measure._AT_ONCE", size)
+    assert summarise(motion) == expected
+    rates = np.abs(motion.speeds) / motion.robot.velocity_limits
+    assert expected["speed_over_limit_max"] == rates.max()
+    assert expected["acceleration_max"] == np.abs(motion.accelerations).max()

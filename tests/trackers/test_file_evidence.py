@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from long_cases import traced_peak
 
 from handmap_qp import Recording, read_recording
 from handmap_qp.se3 import lengths
@@ -27,6 +28,15 @@ def model(lies: ModuleType) -> Recording:
     return Recording(
         take.name, take.time, take.landmarks, valid, take.side, wrist=take.wrist
     )
+
+
+def lost_at_times(recording: Recording) -> Recording:
+    """Return a recording in which the hand is not seen for a while, and once has another size."""
+    valid = recording.valid.copy()
+    valid[40:55] = False
+    landmarks = np.where(valid[:, None, None], recording.landmarks, np.nan)
+    landmarks[100] *= 3.0
+    return replace(recording, valid=valid, landmarks=landmarks)
 
 
 @pytest.fixture(scope="module")
@@ -254,3 +264,37 @@ def test_points_that_are_not_a_hand_are_measured_without_an_error(scale: float) 
     time, valid = np.arange(200) / 60.0, np.ones(200, dtype=bool)
     facts = recording_facts(Recording("noise", time, points, valid, "left"))
     assert all("nan" not in hint for hint in hints(facts))
+
+
+@pytest.mark.parametrize("size", [1, 7, 100])
+def test_parts_show_the_same(
+    size: int, model: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = lost_at_times(model)
+    expected = recording_facts(recording)
+    assert not math.isnan(expected.growth)
+    for module in ("human.measure", "trackers.file_evidence"):
+        monkeypatch.setattr(f"handmap_qp.{module}._AT_ONCE", size)
+    assert recording_facts(recording) == expected
+
+
+def test_it_does_not_copy_the_landmarks(
+    model: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("human.measure", "trackers.file_evidence"):
+        monkeypatch.setattr(f"handmap_qp.{module}._AT_ONCE", 1000)
+    recording = lost_at_times(model)
+    peaks: list[int] = []
+    for count in (5_000, 20_000):
+        index = np.resize(np.arange(len(recording)), count)
+        long = replace(
+            recording,
+            time=np.arange(count) / 60.0,
+            landmarks=recording.landmarks[index],
+            valid=recording.valid[index],
+            wrist=None,
+        )
+        with traced_peak(peaks):
+            recording_facts(long)
+    # Landmarks of a sample have 504 bytes. What is measured of it, such as bones, has less.
+    assert peaks[1] - peaks[0] < 504 * 15_000

@@ -2,8 +2,8 @@
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,8 +12,18 @@ from tyro.conf import Positional
 
 from handmap_core.errors import expect
 from handmap_qp.apps.arguments import FileSide, check_names, hinted
+from handmap_qp.apps.tables import progress
+from handmap_qp.hands import Names
+from handmap_qp.human import Recording
 from handmap_qp.output_files import check_output, make_folder
-from handmap_qp.trackers import FORMATS, format_to_write, list_sources
+from handmap_qp.trackers import (
+    FORMATS,
+    LongRecording,
+    Source,
+    format_to_write,
+    in_pieces,
+    list_sources,
+)
 from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ENVIRONMENT
 from .robot_log import is_robot_log, read_robot_log, write_robot_logs
@@ -101,7 +111,8 @@ class Convert:
             for source in list_sources(file, self.side, fps=self.fps)
         ]
         unread = {source.path: source.format.unread(source.path) for source in sources}
-        recordings = [source.read() for source in sources]
+        with progress("reading"):
+            recordings = [_opened(source) for source in sources]
         contents = {out: recordings}
         if has_files:
             names = [f"{source.name}{form.suffixes[0]}" for source in sources]
@@ -109,14 +120,17 @@ class Convert:
             files = map(out.joinpath, names)
             contents = dict(zip(files, zip(recordings), strict=True))
             make_folder(out, "OUT")
-        for file, content in contents.items():
-            form.write(content, file)
+        samples = sum(map(len, recordings))
+        with progress("converting", samples) as advance:
+            written = _Written(form, advance)
+            for file, content in contents.items():
+                form.write_long([*map(written.watched, content)], file)
         self._report(
             recordings=len(recordings),
-            samples=sum(map(len, recordings)),
+            samples=samples,
             files=list(map(str, contents)),
             not_read=list(dict.fromkeys(chain.from_iterable(unread.values()))),
-            lost=form.losses(recordings),
+            lost=written.losses,
         )
 
     def _convert_logs(
@@ -162,3 +176,55 @@ class Convert:
         print(f"lost: {', '.join(lost)}" if lost else "nothing was lost")
         for file in done["files"]:
             print(f"wrote {file}")
+
+
+def _opened(source: Source) -> LongRecording:
+    """Open a recording; if it is long, keep its first samples alone in memory."""
+    found = source.read_long()
+    if isinstance(found, LongRecording):
+        return found.without_overview()
+    return in_pieces(found)
+
+
+class _Written:
+    """What has been written of recordings, and what their new form does not hold.
+
+    Args:
+        form: The new form.
+        advance: Called with the number of samples done.
+    """
+
+    def __init__(self, form: RecordingFormat, advance: Callable[[int], object]) -> None:
+        self._form = form
+        self._advance = advance
+        self._done: list[int] = []
+        self._lost: set[str] = set()
+
+    @property
+    def losses(self) -> Names:
+        """What the form does not hold of all that was written, in words."""
+        return self._form.in_order(self._lost)
+
+    def watched(self, recording: LongRecording) -> LongRecording:
+        """Return a recording whose samples are counted when they are read."""
+        index = len(self._done)
+        self._done.append(0)
+        if recording.has_all:
+            # It may be written from the memory.
+            self._count(index, recording.overview)
+            return recording
+
+        def parts() -> Iterator[Recording]:
+            # Some forms read all parts twice.
+            self._done[index] = 0
+            for part in recording.parts():
+                yield part
+                self._count(index, part)
+
+        return replace(recording, parts=parts)
+
+    def _count(self, index: int, part: Recording) -> None:
+        """Count samples of a recording that are written."""
+        self._done[index] += len(part)
+        self._lost.update(self._form.losses([part]))
+        self._advance(sum(self._done))

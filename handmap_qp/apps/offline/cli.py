@@ -117,13 +117,16 @@ class Retarget:
         moves = [
             (robot, used, self._out(in_memory(used[0]), robot)) for robot, used in read
         ]
+        del read
         motions = []
         summaries = []
         for robot, used, out in moves:
             motion, summary = self._write(robot, used, out)
-            summaries.append(self._summary(motion, summary, out))
+            summaries.append(summary)
             if self.picture:
                 motions.append(motion)
+            # Free it before that of the other hand is made.
+            del motion
         if self.picture:
             with progress("drawing"):
                 save_moments(self.picture, motions)
@@ -181,11 +184,17 @@ class Retarget:
         self, robot: Hand, used: Sequence[Recording | LongRecording], out: Path
     ) -> tuple[MappedMotion, Values]:
         """Map the recordings of a robot's hands, and write the motion; return its summary too."""
-        if long := all_long(used):
-            return self._map_long(robot, long, out)
-        motion = self._map(robot, [in_memory(each) for each in used])
-        save_npz(out, motion.trajectory.all_columns)
-        return motion, summarise(motion.trajectory)
+        long = all_long(used)
+        recordings = [in_memory(each) for each in long or used]
+        # Before there is a motion: in memory, that of an hour is as large as the recording.
+        inputs = [*map(describe_input, recordings)]
+        if long:
+            motion, summary = self._map_long(robot, long, out)
+        else:
+            motion = self._map(robot, recordings)
+            save_npz(out, motion.trajectory.all_columns)
+            summary = summarise(motion.trajectory)
+        return motion, self._summary(motion, summary, inputs, out)
 
     def _map(self, robot: Hand, used: list[Recording]) -> MappedMotion:
         """Map the recordings of a robot's hands."""
@@ -219,7 +228,9 @@ class Retarget:
                 summarise_long(motion, trajectory),
             )
 
-    def _summary(self, motion: MappedMotion, summary: Values, out: Path) -> Values:
+    def _summary(
+        self, motion: MappedMotion, summary: Values, inputs: list[Values], out: Path
+    ) -> Values:
         """Return the summary of what was mapped and written."""
         trajectory, used, method, _ = motion
         return {
@@ -228,7 +239,7 @@ class Retarget:
             "closing": self._closing(trajectory.robot, used)
             if summary["speed_limited_joints"]
             else None,
-            "inputs": [describe_input(recording) for recording in used],
+            "inputs": inputs,
             "alignment": getattr(method, "alignment", None),
             "out": str(out),
             "picture": self.picture and str(self.picture),

@@ -55,20 +55,27 @@ class Leaning(NamedTuple):
         return float(self.at_limit.any(axis=1).mean()) if self.joints else np.nan
 
 
-def measure_leaning(robot: Hand, q: Array, at_limit: Array | None = None) -> Leaning:
+def measure_leaning(
+    robot: Hand,
+    q: Array,
+    at_limit: Array | None = None,
+    *,
+    samples: Array | slice = slice(None),
+) -> Leaning:
     """Measure how far a robot leans.
 
     Args:
         robot: The robot hand, or the hands of a robot as one.
         q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
         at_limit: Whether each joint is at a position limit, shape (T, n); found if omitted.
+        samples: Those that count: flags, shape (T,); all if omitted.
     """
     if at_limit is None:
         at_limit = robot.at_position_limit(q)
     carries = np.flatnonzero(robot.carries_limbs)
     return Leaning(
         joints=tuple(robot.joint_names[i] for i in carries),
-        away=np.abs(q - robot.rest)[:, carries],
-        at_limit=at_limit[:, carries],
+        away=np.abs(q[:, carries][samples] - robot.rest[carries]),
+        at_limit=at_limit[:, carries][samples],
         is_angle=~are_prismatic(robot)[carries],
     )

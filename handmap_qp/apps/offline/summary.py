@@ -1,7 +1,7 @@
 """Holds and summary numbers of a mapped motion, printed by `handmap retarget`."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from handmap_qp.human import Recording
 from handmap_qp.mapping import ASSUMED_SHARE, arm_held_by, assumed_joints, fist_time
 from .closings import closing_times
 from .leaning import measure_leaning
-from .trajectory import Trajectory, stretches
+from .trajectory import RobotMotion, Trajectory, stretches
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
@@ -20,6 +20,8 @@ SLOW_SHARE = 0.2
 _WRIST_OFF, _LATE_SHARE = 0.02, 0.05
 # A waist that is at a limit in more than this share of the samples may make a robot fall.
 _BENT_SHARE = 0.05
+_AT_ONCE = 10_000
+"""Samples of which speeds and accelerations are computed at once."""
 _NAMED_JOINTS = 3
 _NAMED_HOLDS = 5
 
@@ -87,7 +89,7 @@ def summarise(trajectory: Trajectory) -> Values:
         ],
         "arm_out_of_reach": _arm(trajectory),
         "leaning": measure_leaning(
-            robot, trajectory.q[seen], trajectory.at_limit[seen]
+            robot, trajectory.q, trajectory.at_limit, samples=seen
         ).rows,
     }
     return plain_values(found)
@@ -118,12 +120,16 @@ def holds_in(
         valid: Which samples were followed, shape (T,).
         rule_at: Returns the rule of a sample.
     """
-    time = instants - instants[0]
+    last = len(instants) - 1
+
+    def time_of(sample: int) -> float:
+        return instants[sample] - instants[0]
+
     return [
         {
             "rule": rule_at(hold.start),
-            "start": time[hold.start],
-            "duration": time[min(hold.stop, len(time) - 1)] - time[hold.start],
+            "start": time_of(hold.start),
+            "duration": time_of(min(hold.stop, last)) - time_of(hold.start),
             "samples": hold.stop - hold.start,
         }
         for hold in stretches(~valid)
@@ -275,20 +281,35 @@ def by_instants(trajectory: Trajectory) -> Values:
     found: Values = dict.fromkeys(
         ("speed_over_limit_max", "acceleration_max", "steps_ms")
     )
-    count = len(trajectory.time)
-    if count > 1:
-        shares = np.abs(trajectory.speeds) / trajectory.robot.velocity_limits
-        found["speed_over_limit_max"] = shares.max()
+    parts = [*_overlapping(trajectory)]
+    if len(trajectory.time) > 1:
+        limits = trajectory.robot.velocity_limits
+        shares = [(np.abs(part.speeds) / limits).max() for part in parts]
+        found["speed_over_limit_max"] = np.max(shares)
         found["steps_ms"] = steps_in(trajectory.time)
-    if count > 2:
-        found["acceleration_max"] = np.abs(trajectory.accelerations).max()
+    if len(trajectory.time) > 2:
+        largest = [np.abs(part.accelerations).max() for part in parts]
+        found["acceleration_max"] = np.max(largest)
     return found
+
+
+def _overlapping(motion: RobotMotion) -> Iterator[RobotMotion]:
+    """Cut a motion into parts that have each step, and each pair of steps, in one of them."""
+    columns = ("time", "q", "wrist", "step_cpu")
+    # The last part has three samples if there are so many.
+    for start in range(0, max(1, len(motion.time) - 2), _AT_ONCE):
+        samples = slice(start, start + _AT_ONCE + 2)
+        arrays = {name: vars(motion)[name][samples] for name in columns}
+        yield RobotMotion(robot=motion.robot, **arrays)
 
 
 def steps_in(instants: Array) -> list[float]:
     """Return the least, the median and the largest step between two or more instants [ms]."""
-    steps = 1e3 * np.diff(instants)
-    return [steps.min(), np.median(steps), steps.max()]
+    steps = np.diff(instants)
+    # In place: those of a day take 21 MB.
+    steps *= 1e3
+    least, largest = steps.min(), steps.max()
+    return [least, np.median(steps, overwrite_input=True), largest]
 
 
 def count_broken(rules: Counter[str]) -> dict[str, int]:

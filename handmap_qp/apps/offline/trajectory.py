@@ -20,6 +20,7 @@ from handmap_qp.human import (
     Person,
     Recording,
     Rule,
+    by_parts,
     sample_columns,
     scaled_human,
 )
@@ -121,8 +122,11 @@ class Trajectory(RobotMotion):
     @property
     def limit_violation(self) -> float:
         """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
-        outside = self.q - np.clip(self.q, *self.robot.limits)
-        return np.abs(outside).max(initial=0.0)
+        limits = self.robot.limits
+        outside = by_parts(
+            lambda q: np.abs(q - np.clip(q, *limits)).max(axis=1, initial=0.0), self.q
+        )
+        return outside.max(initial=0.0)
 
     @property
     def columns(self) -> Arrays:

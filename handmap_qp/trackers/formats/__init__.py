@@ -4,7 +4,7 @@ A format is an object of a subclass of `RecordingFormat`. Other packages add the
 of the group `handmap_qp.formats`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from .base import (
 from .csv_files import CsvFormat
 from .hdf5 import EgoDexFormat, RobomimicFormat
 from .lerobot import LeRobotFormat
-from .long import LongRecording, open_or_read
+from .long import LongRecording, in_memory, open_or_read, without_overview
 from .mano import ManoFormat
 from .mcap import McapFormat
 from .objects import ArcticFormat, DexYcbFormat, GrabFormat, Hot3dFormat
@@ -180,15 +180,31 @@ def read_hands(
 
 
 def read_long_hands(
-    paths: Sequence[Path | str], *, fps: float | None = None
+    paths: Sequence[Path | str],
+    *,
+    fps: float | None = None,
+    check: Callable[[Recording], object] = len,
 ) -> dict[Side, Recording | LongRecording]:
     """Read both hands as `read_hands`, or open those to be read by pieces that are long.
 
+    Those have no overviews, which `all_long` gives them: two of an hour take 108 MB.
+
+    Args:
+        paths: As of `read_hands`.
+        fps: As of `read_hands`.
+        check: Called with each recording, or its overview if it is long; may reject it.
+
     Raises:
-        HandmapError: As `read_hands`.
+        HandmapError: As `read_hands` and `check`.
     """
-    sources = find_hands(paths, fps=fps)
-    return {side: source.read_long() for side, source in sources.items()}
+    found: dict[Side, Recording | LongRecording] = {}
+    for side, source in find_hands(paths, fps=fps).items():
+        recording = source.read_long()
+        check(in_memory(recording))
+        found[side] = without_overview(recording)
+        # Free its overview before that of the other hand is read.
+        del recording
+    return found
 
 
 def find_hands(

@@ -34,6 +34,7 @@ from .base import (
     WORDS,
     Entry,
     RecordingFormat,
+    WrittenByPieces,
     build_recording,
     has,
     reading,
@@ -43,7 +44,7 @@ from .base import (
 )
 from .disk_columns import DiskColumn, write_npz
 from .long import LongRecording, pieces_of
-from .pieces import recording_parts
+from .pieces import columns_on_disk, recording_parts
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
@@ -78,7 +79,7 @@ class ArrayHeader(NamedTuple):
     is_by_rows: bool
 
 
-class NpzFormat(RecordingFormat):
+class NpzFormat(WrittenByPieces):
     """The package's own form, lossless, and archives of others that have landmarks.
 
     Arrays: `time (T,)` [s], `landmarks (T, 21, 3)` or (T, 63) [m] and `handedness`; and where they
@@ -213,20 +214,25 @@ class NpzFormat(RecordingFormat):
         known = {before + name for before in ("", "left_", "right_") for name in taken}
         return tuple(sorted(member_names(path) - known - {*_SIDE_ARRAYS, "fps"}))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
-        """Write one hand or both."""
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
+        """Write one hand or both; samples that are not in the memory by way of the disk."""
         self.check_one_per_hand(recordings)
-        arrays: Arrays = {}
-        for recording in recordings:
-            prefix = f"{recording.side}_" if len(recordings) > 1 else ""
-            arrays |= {
-                prefix + name: np.asarray(getattr(recording, name))
-                for name in (*COLUMNS, *WORDS)
-                if has(recording, name)
-            }
-            if not prefix:
-                arrays["handedness"] = np.asarray(recording.side)
-        save_npz(path, arrays)
+        arrays: dict[str, Array | DiskColumn] = {}
+        with ExitStack() as opened:
+            for recording in recordings:
+                head = recording.overview
+                prefix = f"{head.side}_" if len(recordings) > 1 else ""
+                arrays |= {
+                    prefix + name: np.asarray(getattr(head, name))
+                    for name in (*COLUMNS, *WORDS)
+                    if has(head, name)
+                }
+                if not recording.has_all:
+                    columns = opened.enter_context(columns_on_disk(recording, path))
+                    arrays |= {prefix + name: rows for name, rows in columns.items()}
+                if not prefix:
+                    arrays["handedness"] = np.asarray(head.side)
+            save_npz(path, arrays)
 
 
 class NpyFormat(RecordingFormat):

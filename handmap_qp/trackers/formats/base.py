@@ -1,7 +1,7 @@
 """The seam of file formats: what a format of recordings offers, and what all of them share."""
 
 import abc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from handmap_core.errors import (
+    DiskFullError,
     HandmapError,
     InvalidInputError,
     RecordingError,
@@ -27,7 +28,7 @@ from handmap_qp.human import (
     finite_samples,
     regular_time,
 )
-from .long import LongRecording
+from .long import LongRecording, in_memory, in_pieces
 
 COLUMNS: dict[str, Names] = {
     "time": ("time",),
@@ -232,13 +233,30 @@ class RecordingFormat(abc.ABC):
         """
         raise InvalidInputError("is read and not written", argument=self.name)
 
-    def check_one_per_hand(self, recordings: Sequence[Recording]) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
+        """Write recordings that may be too long for the memory, as `write` does.
+
+        Forms that write by pieces override it (`WrittenByPieces`). Others need all samples at once.
+
+        Raises:
+            InvalidInputError: As `write`.
+        """
+        self.write([each.whole() for each in recordings], path)
+
+    def in_order(self, losses: Collection[str]) -> Names:
+        """Return what `losses` named for parts of recordings in the order of all of them."""
+        known = [LOSSES[name] for name in self.lacks if LOSSES[name] in losses]
+        return (*known, *sorted(set(losses).difference(known)))
+
+    def check_one_per_hand(
+        self, recordings: Sequence[Recording | LongRecording]
+    ) -> None:
         """Reject recordings that are not of one hand, or of a left and a right hand.
 
         Raises:
             InvalidInputError: If there is none, or a hand occurs twice.
         """
-        sides = [recording.side for recording in recordings]
+        sides = [in_memory(recording).side for recording in recordings]
         expect(
             sides and len(set(sides)) == len(sides),
             "recordings",
@@ -246,6 +264,24 @@ class RecordingFormat(abc.ABC):
             got=first_of(sides, 4) or "none",
             advice="use lerobot, robomimic, or one file for each",
         )
+
+
+class WrittenByPieces(RecordingFormat):
+    """A format that writes the samples of a recording in parts, whether or not it is long."""
+
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+        """Write recordings that are in the memory: see `write_long`."""
+        self.write_long([in_pieces(each) for each in recordings], path)
+
+    @abc.abstractmethod
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
+        """Write recordings to one file; an earlier file stays as it was if this fails.
+
+        `LongRecording.overview` tells words and columns. All parts have the same columns.
+
+        Raises:
+            InvalidInputError: As `RecordingFormat.write`.
+        """
 
 
 @contextmanager
@@ -266,11 +302,14 @@ def reading(
         table: A `csv.reader`, whose line is at fault.
 
     Raises:
+        DiskFullError: As the block.
         RecordingError: For every other error of the block.
     """
     try:
         yield
     except Exception as error:
+        if isinstance(error, DiskFullError):
+            raise
         if isinstance(error, InvalidInputError):
             array += error.argument
             problem = f"{error.what}: {error.advice}" if error.advice else error.what

@@ -20,7 +20,7 @@ from .base import (
     COLUMNS,
     WORDS,
     Entry,
-    RecordingFormat,
+    WrittenByPieces,
     build_recording,
     column,
     known_columns,
@@ -31,9 +31,10 @@ from .long import PIECE, LongRecording
 from .pieces import OPTIONAL, open_pieces
 
 Row = list[str]
+_NO_ROWS = "has no rows below its header"
 
 
-class CsvFormat(RecordingFormat):
+class CsvFormat(WrittenByPieces):
     """Columns by name, in any order; numbers are written so that they are read back exactly.
 
     Needed: `wrist_x`, `wrist_y`, `wrist_z`, `thumb_cmc_x` and so on [m]; `side` (right or left) and
@@ -123,18 +124,19 @@ class CsvFormat(RecordingFormat):
             known = {"side", *chain(*COLUMNS.values())}
             return tuple(name for name in header if name not in known)
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
         """Write one hand, or the rows of the left hand before those of the right one."""
         self.check_one_per_hand(recordings)
-        fields = known_columns(*recordings)
+        fields = known_columns(*(each.overview for each in recordings))
         with replaced_file(path, "path") as file:
             text = io.TextIOWrapper(file, "utf-8", newline="")
             writer = csv.writer(text, lineterminator="\n")
             writer.writerow(["side", *chain(*(COLUMNS[field] for field in fields))])
-            for recording in sorted(recordings, key=lambda r: r.side):
-                columns = [column(recording, field) for field in fields]
-                for row in np.column_stack(columns).tolist():
-                    writer.writerow([recording.side, *map(_text, row)])
+            for recording in sorted(recordings, key=lambda r: r.overview.side):
+                for part in recording.parts():
+                    columns = [column(part, field) for field in fields]
+                    for row in np.column_stack(columns).tolist():
+                        writer.writerow([part.side, *map(_text, row)])
             text.detach()
 
 
@@ -198,8 +200,19 @@ def numbers(
     """
     table = [[_number(name, row[header[name]]) for name in names] for row in rows]
     if not table:
-        raise InvalidInputError("has no rows below its header")
+        raise InvalidInputError(_NO_ROWS)
     return dict(zip(names, np.transpose(table), strict=True))
+
+
+def numbers_of_column(
+    rows: Iterable[Row], header: Mapping[str, int], name: str
+) -> Array:
+    """Read one column of a table of any length, shape (T,); arguments and errors as `numbers`."""
+    place = header[name]
+    column = np.fromiter((_number(name, row[place]) for row in rows), float)
+    if not len(column):
+        raise InvalidInputError(_NO_ROWS)
+    return column
 
 
 def _number(name: str, text: str) -> float:

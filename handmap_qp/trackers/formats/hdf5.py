@@ -14,7 +14,7 @@ And from that of EgoDex (Hoque et al. 2025, arXiv 2505.11709, and the README of 
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from handmap_core.errors import InvalidInputError, expect, require
-from handmap_core.se3 import Array, affine
+from handmap_core.se3 import Array, Arrays, affine
 from handmap_core.trackers.wrist_axes import palm_axes
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording, finite_samples
@@ -33,7 +33,7 @@ from .base import (
     SIDES,
     WORDS,
     Entry,
-    RecordingFormat,
+    WrittenByPieces,
     build_recording,
     column,
     first_of,
@@ -153,6 +153,31 @@ def created(path: Path, argument: str = "path") -> Iterator[Any]:
         yield file
 
 
+def write_rows(file: Any, count: int, parts: Iterable[Arrays]) -> None:
+    """Write arrays side by side, some rows at once.
+
+    Args:
+        file: The `h5py.File`, open for writing.
+        count: Number of rows of all parts.
+        parts: The next rows of each array, by the name of its data set in the file.
+
+    Raises:
+        OSError: If the disk is full.
+    """
+    start = 0
+    for part in parts:
+        if not start:
+            row = sum(values[0].nbytes for values in part.values())
+            check_room(file, count * row)
+            for name, values in part.items():
+                file.create_dataset(name, (count, *values.shape[1:]), values.dtype)
+        stop = start + len(next(iter(part.values())))
+        for name, values in part.items():
+            file[name][start:stop] = values
+        start = stop
+    assert start == count
+
+
 def check_room(file: Any, size: int) -> None:
     """See that the disk has room for what is written next: libhdf5 crashes where it is full.
 
@@ -168,7 +193,7 @@ def check_room(file: Any, size: int) -> None:
         os.posix_fallocate(room.fileno(), 0, size + _OVERHEAD)
 
 
-class _Hdf5Format(RecordingFormat):
+class _Hdf5Format(WrittenByPieces):
     suffixes = SUFFIXES
     group: str
     """The group that files of this form have."""
@@ -270,7 +295,7 @@ class RobomimicFormat(_Hdf5Format):
                 found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
             return tuple(sorted(found))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
         """Write each recording as a demonstration."""
         expect(recordings, "recordings", "at least one", got="none")
         with created(path) as file:
@@ -279,14 +304,23 @@ class RobomimicFormat(_Hdf5Format):
             env = {"env_name": "human_hand", "env_type": 2, "env_kwargs": {}}
             data.attrs["env_args"] = json.dumps(env)
             for i, recording in enumerate(recordings):
+                head = recording.overview
                 demo = data.create_group(f"demo_{i}")
                 demo.attrs["num_samples"] = len(recording)
                 for key in ("name", "side", *WORDS):
-                    demo.attrs[key] = getattr(recording, key)
-                for name in known_columns(recording):
-                    values = column(recording, name)
-                    check_room(file, values.nbytes)
-                    demo[f"obs/{name}"] = values
+                    demo.attrs[key] = getattr(head, key)
+                names = known_columns(head)
+                write_rows(
+                    file,
+                    len(recording),
+                    (
+                        {
+                            f"{demo.name}/obs/{name}": column(part, name)
+                            for name in names
+                        }
+                        for part in recording.parts()
+                    ),
+                )
 
 
 def joint_names(side: Side) -> Names:
@@ -432,32 +466,41 @@ class EgoDexFormat(_Hdf5Format):
         poses = (f"{others} other poses",) if others else ()
         return (*poses, *rest, "orientations of the fingers' joints")
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
         """Write one hand or both; the fingers' joints have no orientation of their own.
 
         Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.
         """
         self.check_one_per_hand(recordings)
+        times = [recording.instants() for recording in recordings]
         expect(
-            len({recording.time.tobytes() for recording in recordings}) == 1,
+            len({time.tobytes() for time in times}) == 1,
             "recordings",
             "both hands at the same instants, as EgoDex has them",
             got="others",
             advice="write one file for each hand",
         )
         with created(path) as file:
-            file["time"] = recordings[0].time
+            file["time"] = times[0]
             for recording in recordings:
-                given = 1.0 if recording.confidence is None else recording.confidence
-                turns = np.tile(np.eye(3), (21, len(recording), 1, 1))
-                if recording.wrist is None:
-                    seen = recording.valid
-                    sign = 1.0 if recording.side == "right" else -1.0
-                    turns[0, seen] = palm_axes(recording.landmarks[seen], sign)
-                else:
-                    turns[0] = recording.wrist[:, :3, :3]
-                poses = affine(turns, recording.landmarks.swapaxes(0, 1))
-                check_room(file, 2 * poses.nbytes)
-                for name, pose in zip(joint_names(recording.side), poses, strict=True):
-                    file[f"transforms/{name}"] = pose
-                    file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)
+                write_rows(
+                    file, len(recording), map(self._joints_of, recording.parts())
+                )
+
+    @staticmethod
+    def _joints_of(part: Recording) -> Arrays:
+        """Return pose and confidence of each joint by the names of their data sets."""
+        given = 1.0 if part.confidence is None else part.confidence
+        turns = np.tile(np.eye(3), (21, len(part), 1, 1))
+        if part.wrist is None:
+            seen = part.valid
+            sign = 1.0 if part.side == "right" else -1.0
+            turns[0, seen] = palm_axes(part.landmarks[seen], sign)
+        else:
+            turns[0] = part.wrist[:, :3, :3]
+        poses = affine(turns, part.landmarks.swapaxes(0, 1))
+        shares = np.where(part.valid, given, 0.0)
+        names = joint_names(part.side)
+        return {
+            f"transforms/{name}": pose for name, pose in zip(names, poses, strict=True)
+        } | {f"confidences/{name}": shares for name in names}

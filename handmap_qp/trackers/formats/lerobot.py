@@ -23,8 +23,9 @@ from handmap_core.se3 import Array, Arrays
 from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
-from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
+from .base import COLUMNS, WORDS, Entry, WrittenByPieces, column, known_columns
 from .disk_columns import DiskColumn
+from .long import LongRecording
 
 VERSION = "v3.0"
 _SAME_RATE = 1.25
@@ -72,7 +73,7 @@ class Feature(NamedTuple):
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
-class LeRobotFormat(RecordingFormat):
+class LeRobotFormat(WrittenByPieces):
     """A folder with one episode for each hand and recording; lossless.
 
     LeRobot's own `timestamp` is the frame over `fps`; the tracker's instants are in
@@ -96,10 +97,10 @@ class LeRobotFormat(RecordingFormat):
         """Refuse: no data set is read."""
         raise NotImplementedError("entries refuses every path")
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
         """Write each recording as an episode."""
         expect(recordings, "recordings", "at least one", got="none")
-        fields = known_columns(*recordings)
+        fields = known_columns(*(each.overview for each in recordings))
         features = {
             f"observation.{field}": Feature(
                 "bool" if field == "valid" else "float64", COLUMNS[field]
@@ -109,13 +110,18 @@ class LeRobotFormat(RecordingFormat):
         fps = _common_rate(recordings)
         kind = "human_hand"
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
-            for own in recordings:
-                columns = {f"observation.{name}": column(own, name) for name in fields}
-                about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
-                writer.add(columns, own.task or f"{own.side} human hand", about)
+            for recording in recordings:
+                head = recording.overview
+                parts = (
+                    {f"observation.{name}": column(part, name) for name in fields}
+                    for part in recording.parts()
+                )
+                about = {key: getattr(head, key) for key in ("name", "side", *WORDS)}
+                task = head.task or f"{head.side} human hand"
+                writer.add_parts(parts, len(recording), task, about)
 
 
-def _common_rate(recordings: Sequence[Recording]) -> int:
+def _common_rate(recordings: Sequence[LongRecording]) -> int:
     """Return the frames per second of recordings that have the same rate.
 
     LeRobot's time stamp is the frame over one rate of the whole set, so recordings of other rates
@@ -124,10 +130,10 @@ def _common_rate(recordings: Sequence[Recording]) -> int:
     Raises:
         InvalidInputError: If rates differ.
     """
-    steps = np.concatenate([recording.steps for recording in recordings])
-    fps = max(1, round(1.0 / np.median(steps)))
-    judged = [each for each in recordings if len(each) >= _LEAST_SAMPLES]
-    rates = np.array([1.0 / np.median(recording.steps) for recording in judged])
+    found = [recording.steps() for recording in recordings]
+    fps = max(1, round(1.0 / np.median(np.concatenate(found))))
+    judged = [steps for steps in found if len(steps) >= _LEAST_SAMPLES]
+    rates = np.array([1.0 / np.median(steps) for steps in judged])
     is_same = (rates <= _SAME_RATE * fps) & (_SAME_RATE * rates >= fps)
     expect(
         is_same.all(),

@@ -61,6 +61,41 @@ class LongRecording:
         """Number of samples."""
         return self.count
 
+    @property
+    def has_all(self) -> bool:
+        """Whether the overview is the recording: it has all samples."""
+        return len(self.overview) == self.count
+
+    def instants(self) -> Array:
+        """Return the instants of all samples [s], shape (T,)."""
+        if self.has_all:
+            return self.overview.time
+        return np.concatenate([part.time for part in self.parts()])
+
+    def steps(self) -> Array:
+        """Return `Recording.steps` of all samples [s], shape (T,)."""
+        if self.has_all:
+            return self.overview.steps
+        steps = np.diff(self.instants())
+        return np.insert(steps, 0, np.median(steps))
+
+    def whole(self) -> Recording:
+        """Read all samples into the memory."""
+        if self.has_all:
+            return self.overview
+        return overview_of(self.parts(), [slice(0, self.count)])
+
+    def without_overview(self) -> LongRecording:
+        """Return it with its first samples alone in memory, for what takes each sample once."""
+        head = part_of(self.overview, slice(0, PIECE))
+        return replace(self, overview=head, blocks=[slice(0, len(head))])
+
+    def with_overview(self) -> LongRecording:
+        """Return it with the overview that a recording of its length has."""
+        if self.has_all or self.blocks == blocks_of(self.count):
+            return self
+        return LongRecording.opened(self.parts, self.count)
+
     def changed(self, change: Callable[[Recording], Recording]) -> LongRecording:
         """Return it with a change that each sample takes by itself, such as `mirrored`."""
         parts = self.parts
@@ -115,10 +150,21 @@ def in_memory(recording: Recording | LongRecording) -> Recording:
     return recording
 
 
+def without_overview(
+    recording: Recording | LongRecording,
+) -> Recording | LongRecording:
+    """Return a recording that takes little memory if it is long: see `LongRecording`."""
+    if isinstance(recording, LongRecording):
+        return recording.without_overview()
+    return recording
+
+
 def all_long(
     recordings: Sequence[Recording | LongRecording],
 ) -> list[LongRecording] | None:
     """Return the recordings of both hands of a person to be read by pieces; None if none is long.
+
+    They have overviews, also if those that were given have none (`without_overview`).
 
     If both have more samples together than blocks of `_BLOCK_OF_BOTH`, their overviews show the
     same spans of time: blocks of the one that has most samples.
@@ -126,12 +172,12 @@ def all_long(
     if not any(isinstance(each, LongRecording) for each in recordings):
         return None
     found = [
-        each if isinstance(each, LongRecording) else _pieced(each)
+        each if isinstance(each, LongRecording) else in_pieces(each)
         for each in recordings
     ]
     most = len(found) * _BLOCKS * _BLOCK_OF_BOTH
     if len(found) == 1 or sum(map(len, found)) <= most:
-        return found
+        return [each.with_overview() for each in found]
     index = max(range(len(found)), key=lambda i: len(found[i]))
     blocks = _spread(len(found[index]), _BLOCK_OF_BOTH)
     leading = _with_blocks(found[index], blocks)
@@ -144,7 +190,7 @@ def all_long(
     ]
 
 
-def _pieced(recording: Recording) -> LongRecording:
+def in_pieces(recording: Recording) -> LongRecording:
     """Return a recording that is in the memory, to be read by pieces as a long one is."""
 
     def parts() -> Iterator[Recording]:
@@ -163,7 +209,7 @@ def _within(recording: LongRecording, firsts: Array, lasts: Array) -> LongRecord
         firsts: First instants of the spans [s], shape (b,).
         lasts: Their last instants [s], shape (b,).
     """
-    time = np.concatenate([part.time for part in recording.parts()])
+    time = recording.instants()
     starts = np.searchsorted(time, firsts, "left")
     stops = np.searchsorted(time, lasts, "right")
     blocks = [
@@ -233,7 +279,7 @@ def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recordin
             end = min(start + len(part), block.stop)
             if begin < end:
                 at = offset + begin - block.start
-                for name, column in _columns_of(part):
+                for name, column in columns_of(part):
                     if name not in columns:
                         columns[name] = np.empty(
                             (size, *column.shape[1:]), column.dtype
@@ -261,7 +307,7 @@ def overview_of(parts: Iterable[Recording], blocks: Sequence[slice]) -> Recordin
     return Recording(**words, **columns)
 
 
-def _columns_of(part: Recording) -> list[tuple[str, Array]]:
+def columns_of(part: Recording) -> list[tuple[str, Array]]:
     """Return the columns that a recording has, by name."""
     values = [(field.name, getattr(part, field.name)) for field in fields(part)]
     return [(name, value) for name, value in values if isinstance(value, Array)]

@@ -14,19 +14,22 @@ from handmap_core.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
 from handmap_qp.hands import HUMAN_JOINTS, Names, Side, load_hand
 from handmap_qp.human import (
     LANDMARK_COUNT,
+    LandmarkFitter,
     Recording,
+    expect_fitted,
     finite_samples,
-    fit_recording,
     human_name,
+    measure_hand,
 )
 from handmap_qp.output_files import replaced_path
 from .base import (
     SIDES,
     Entry,
-    RecordingFormat,
+    WrittenByPieces,
     build_recording,
     reading,
 )
+from .long import LongRecording
 
 _POSES = "geometry_msgs/msg/PoseArray"
 _STATE = "sensor_msgs/msg/JointState"
@@ -51,7 +54,7 @@ Topics = dict[str, str]
 """Topics of a hand, by what they are of `_KINDS`."""
 
 
-class McapFormat(RecordingFormat):
+class McapFormat(WrittenByPieces):
     """A bag with topics below a namespace that has `left` or `right` in its name.
 
     Read are `.../landmarks` (geometry_msgs/PoseArray of 21 poses, MediaPipe's order) or, without
@@ -125,12 +128,12 @@ class McapFormat(RecordingFormat):
             rest = set(bag.topics).difference(*map(dict.values, _hands(bag).values()))
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write_long(self, recordings: Sequence[LongRecording], path: Path) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
         self.check_one_per_hand(recordings)
         bags = require("rosbags.rosbag2", "files")
         for recording in recordings:
-            start, end = recording.time[[0, -1]]
+            start, end = recording.instants()[[0, -1]]
             expect(
                 start >= 0.0 and end <= 2.0**31,
                 "time",
@@ -333,19 +336,48 @@ def _forward(
     return rows
 
 
-def _write_hand(writer: Any, recording: Recording) -> None:
+def _write_hand(writer: Any, recording: LongRecording) -> None:
     """Write all topics of a recording."""
     store = _store()
-    types = store.types
-    motion = fit_recording(recording)
+    # The size of the hand is measured in the overview.
+    measured = recording.with_overview().overview
+    fitter = LandmarkFitter(measured.side, measure_hand(measured))
     # Landmarks and joint states are always there.
     topics = {
         kind: writer.add_connection(
-            f"/{recording.side}_hand/{what}", kind, typestore=store
+            f"/{measured.side}_hand/{what}", kind, typestore=store
         )
         for what, (kind, _) in _KINDS.items()
-        if getattr(recording, what, ()) is not None
+        if getattr(measured, what, ()) is not None
     }
+    del measured
+    is_any_fitted = False
+    for part in recording.parts():
+        is_fitted = fitter.fitting(part)
+        is_any_fitted |= bool(is_fitted.any())
+        _write_part(writer, store, topics, part, fitter, is_fitted)
+    expect_fitted(is_any=is_any_fitted)
+
+
+def _write_part(
+    writer: Any,
+    store: Any,
+    topics: dict[str, Any],
+    recording: Recording,
+    fitter: LandmarkFitter,
+    is_fitted: Array,
+) -> None:
+    """Write the messages of consecutive samples.
+
+    Args:
+        writer: The bag.
+        store: The types of messages.
+        topics: The topics, by their types.
+        recording: The samples.
+        fitter: Fits joint angles, and goes on from part to part.
+        is_fitted: Which samples it takes, shape (T,).
+    """
+    types = store.types
 
     def pose(position: Array, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Any:
         return types["geometry_msgs/msg/Pose"](
@@ -357,7 +389,7 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         content = store.serialize_cdr(types[kind](*values), kind)
         writer.write(topics[kind], stamp, content)
 
-    names = list(motion.human.joint_names)
+    names = list(fitter.human.joint_names)
     none = np.zeros(0)
     landmarks = np.where(recording.valid[:, None, None], recording.landmarks, np.nan)
     for i, time in enumerate(recording.time.tolist()):
@@ -365,8 +397,9 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         instant = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
         header = types["std_msgs/msg/Header"](instant, _FRAME)
         put(stamp, _POSES, header, [pose(point) for point in landmarks[i]])
-        if motion.valid[i]:
-            put(stamp, _STATE, header, names, motion.q[i], none, none)
+        if is_fitted[i]:
+            q, _ = fitter.fit(recording.landmarks[i])
+            put(stamp, _STATE, header, names, q, none, none)
         if recording.wrist is not None and recording.valid[i]:
             own = recording.wrist[i]
             quat = quat_wxyz_from_rotation(own[:3, :3]).tolist()

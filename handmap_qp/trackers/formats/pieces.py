@@ -1,8 +1,9 @@
-"""Hands that are read by pieces: what all formats share that can do so."""
+"""Hands that are read or written by pieces: what all formats share that can do so."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,10 @@ from handmap_core.errors import RecordingError, expect
 from handmap_core.se3 import Arrays
 from handmap_qp.hands import Values
 from handmap_qp.human import Recording, RecordingPart
+from handmap_qp.output_files import writing
 from .base import Entry, build_recording, reading, whole_poses
-from .long import LongRecording
+from .disk_columns import DiskColumn
+from .long import LongRecording, columns_of
 
 OPTIONAL = ("wrist", "object_pose", "confidence")
 """Fields that a recording does not have if all their numbers are NaN."""
@@ -107,3 +110,36 @@ def _with_unknown(part: Recording, columns: Values) -> Recording:
             expect(not part.valid.any(), name, known, got="none")
             lost[name] = whole_poses(np.full(np.shape(columns[name]), np.nan))
     return replace(part, **lost)
+
+
+@contextmanager
+def columns_on_disk(
+    recording: LongRecording, path: Path
+) -> Iterator[dict[str, DiskColumn]]:
+    """Copy the samples of a recording to the disk, for a file that has its columns one by one.
+
+    Args:
+        recording: The recording.
+        path: The file that is written; the copies are in its folder until the block ends.
+
+    Yields:
+        The columns by the names of `Recording`.
+
+    Raises:
+        DiskFullError: If the disk is full.
+        HandmapError: If the recording cannot be read.
+    """
+    columns: dict[str, DiskColumn] = {}
+    try:
+        for part in recording.parts():
+            with writing(path, "path"):
+                for name, rows in columns_of(part):
+                    if name not in columns:
+                        columns[name] = DiskColumn(
+                            path.parent, rows.dtype, rows.shape[1:]
+                        )
+                    columns[name].append(rows)
+        yield columns
+    finally:
+        for column in columns.values():
+            column.close()

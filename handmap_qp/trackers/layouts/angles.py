@@ -3,6 +3,8 @@
 Angles become landmarks through the human model, as long as the person where lengths are given.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -100,10 +102,7 @@ class AngleLayout(Layout, tag="angles", kw_only=True):
         Joints that the tracker does not have are at 0.
         """
         human = sized_human(side, lengths)
-        postures = np.zeros((len(values), len(HUMAN_JOINTS)))
-        postures[:, self._joints] = self._scales * values + self._offsets
-        self._check(values, postures)
-        postures = np.clip(postures, *human.limits)
+        postures = np.clip(self._postures(values), *human.limits)
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
             landmarks = transform_points(wrists, landmarks)
@@ -114,15 +113,42 @@ class AngleLayout(Layout, tag="angles", kw_only=True):
         own = np.asarray(q, dtype=float)[self._joints]
         return (own - self._offsets) / self._scales
 
-    def _check(self, values: Array, q: Array) -> None:
-        """Reject angles of the other unit, and those of a wrong sign."""
+    def _postures(self, values: Array) -> Array:
+        """Return angles (T, n) as postures of the human model [rad], shape (T, 20)."""
+        postures = np.zeros((len(values), len(HUMAN_JOINTS)))
+        postures[:, self._joints] = self._scales * values + self._offsets
+        return postures
+
+    def check(self, parts: Iterable[Array]) -> None:
+        """Reject angles of the other unit, and those of a wrong sign; see `Layout.check`."""
+        is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
+        largest = 0.0
+        farthest = -np.inf
+        sample = count = 0
+        for values in parts:
+            largest = max(largest, float(np.abs(values).max()))
+            back = -np.degrees(self._postures(values)[:, is_middle].mean(axis=1))
+            if back.max() > farthest:
+                farthest = float(back.max())
+                sample = count + int(np.argmax(back))
+            count += len(values)
+        self._check_unit(largest, count)
+        expect(
+            farthest <= _BACKWARDS,
+            "values",
+            "flexion with a positive sign",
+            got=f"middle joints bent backwards by {farthest:.0f} deg in sample {sample}",
+            advice="turn the sign of the flexion angles",
+        )
+
+    def _check_unit(self, largest: float, count: int) -> None:
+        """Reject angles of the other unit, by the largest one of so many samples."""
         unit = self.unit
-        largest = np.abs(values).max()
         other = "degrees"
         is_other = largest > 2.0 * _LARGEST_ANGLE
         if unit == "deg":
             other = "radians"
-            is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
+            is_other = count > 1 and 0.0 < largest < _STRAIGHTEST
         convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
         expect(
             not is_other,
@@ -130,14 +156,4 @@ class AngleLayout(Layout, tag="angles", kw_only=True):
             f"angles in {unit}",
             got=f"some of up to {largest:.4g}",
             advice=f"these are {other}: {convert}",
-        )
-        is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
-        back = -np.degrees(q[:, is_middle].mean(axis=1))
-        sample = np.argmax(back)
-        expect(
-            back[sample] <= _BACKWARDS,
-            "values",
-            "flexion with a positive sign",
-            got=f"middle joints bent backwards by {back[sample]:.0f} deg in sample {sample}",
-            advice="turn the sign of the flexion angles",
         )

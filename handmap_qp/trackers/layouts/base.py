@@ -6,7 +6,7 @@ how the wrist's pose is obtained, and what the tracker does not give.
 """
 
 import abc
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar, Literal
 
@@ -86,6 +86,12 @@ class WristTable(Document, frozen=True):
 
 Hands = tuple[Array, Array | None]
 """Landmarks in our order [m], (T, 21, 3), and wrist poses with our axes, (T, 4, 4), if any."""
+HandsOf = Callable[[Array, Array | None], Hands]
+"""Turns values and wrist poses of consecutive samples into hands, as `Layout.hands`."""
+Samples = tuple[Any, Any, Any]
+"""Values, wrist poses beside them and which are valid, of consecutive samples: see `record`."""
+Converted = tuple[Array, Array | None, Array]
+"""Landmarks, wrist poses and which samples are seen: see `Layout.convert`."""
 Rows = list[Values]
 """A table: values by column, row by row."""
 
@@ -127,8 +133,8 @@ class Layout(
         aliases: Further names of columns.
         defaults: What stands for columns that may be missing.
         has_wrist: Whether the values hold a wrist pose.
-        is_by_sample: Whether a sample is read without the others, so that a recording may be read
-            by pieces.
+        is_costly: Whether finding the landmarks takes longer than reading the file. Those of a long
+            recording are then found once, and kept on the disk.
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
@@ -145,7 +151,7 @@ class Layout(
     time: dict[str, float] = {}
     wrist: WristTable | None = None
     has_wrist = False
-    is_by_sample: ClassVar[bool] = False
+    is_costly: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self.shapes: tuple[tuple[int, ...], ...] = ()
@@ -198,6 +204,27 @@ class Layout(
 
         Raises:
             InvalidInputError: If the numbers cannot be of this layout.
+        """
+
+    def follow(self, side: Side, lengths: HumanLengths | None) -> HandsOf:
+        """Return what turns the samples of one recording into hands, some consecutive ones at once.
+
+        The hands are those of `hands` of all samples, to the last bit.
+
+        Args:
+            side: As of `hands`.
+            lengths: As of `hands`.
+        """
+        return lambda values, wrists: self.hands(values, side, wrists, lengths)
+
+    def check(self, parts: Iterable[Array]) -> None:
+        """Reject numbers that cannot be of this layout, such as angles in another unit.
+
+        Args:
+            parts: Values of consecutive samples in which the hand was seen, in one of `shapes`.
+
+        Raises:
+            InvalidInputError: If they cannot be of this layout.
         """
 
     @abc.abstractmethod
@@ -303,7 +330,7 @@ class Layout(
         wrists: Any,
         valid: Any,
         lengths: HumanLengths | None,
-    ) -> tuple[Array, Array | None, Array]:
+    ) -> Converted:
         """Turn samples into landmarks, wrist poses if there are any, and which samples are seen.
 
         Arguments and errors are those of `record`.
@@ -314,22 +341,60 @@ class Layout(
             (T,).
         """
         check_side(side)
+        samples = values, wrists, valid
+        self.check_parts([samples])
+        (found,) = self.convert_parts([samples], side, lengths)
+        return found
+
+    def check_parts(self, parts: Iterable[Samples]) -> None:
+        """Reject samples as `check`, of which only those count in which the hand was seen."""
+
+        def values_seen() -> Iterator[Array]:
+            for values, _, valid in parts:
+                array, seen = self._seen(values, valid)
+                if seen.any():
+                    yield array[seen]
+
+        self.check(values_seen())
+
+    def convert_parts(
+        self, parts: Iterable[Samples], side: Side, lengths: HumanLengths | None
+    ) -> Iterator[Converted]:
+        """Turn the samples of one recording into landmarks as `convert`, part by part.
+
+        Wrist poses are None in a part in which the hand is never seen.
+
+        Args:
+            parts: Consecutive samples, for which `check_parts` has been called.
+            side: As of `record`.
+            lengths: As of `record`.
+        """
+        hands = self.follow(side, lengths)
+        for values, wrists, valid in parts:
+            array, seen = self._seen(values, valid)
+            beside = None
+            if wrists is not None:
+                beside = self._wrists_beside(as_floats(wrists, "wrist"), side, seen)
+            landmarks = np.full((len(array), 21, 3), np.nan)
+            poses = None
+            if seen.any():
+                landmarks[seen], found = hands(array[seen], beside)
+                if found is not None:
+                    poses = np.tile(np.eye(4), (len(array), 1, 1))
+                    poses[seen] = found
+            yield landmarks, poses, seen
+
+    def seen(self, values: Any, valid: Any) -> Array:
+        """Tell in which samples the hand was seen, shape (T,); arguments as of `record`."""
+        return self._seen(values, valid)[1]
+
+    def _seen(self, values: Any, valid: Any) -> tuple[Array, Array]:
+        """Return samples in one of `shapes`, and whether the hand was seen, shape (T,)."""
         array = self._checked(values)
-        count = len(array)
         seen = finite_samples(array)
         if valid is not None:
-            seen &= as_flags(valid, count)
-        beside = None
-        if wrists is not None:
-            beside = self._wrists_beside(as_floats(wrists, "wrist"), side, seen)
-        landmarks = np.full((count, 21, 3), np.nan)
-        poses = None
-        if seen.any():
-            landmarks[seen], found = self.hands(array[seen], side, beside, lengths)
-            if found is not None:
-                poses = np.tile(np.eye(4), (count, 1, 1))
-                poses[seen] = found
-        return landmarks, poses, seen
+            seen &= as_flags(valid, len(array))
+        return array, seen
 
     def find_columns(self, names: Collection[str], side: Side) -> dict[str, str]:
         """Find the numbers of one sample among named ones.

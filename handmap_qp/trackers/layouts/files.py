@@ -3,6 +3,7 @@
 Files in the package's own forms need no layout; `handmap_qp.trackers.formats` reads them.
 """
 
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +12,9 @@ import numpy as np
 
 from handmap_core.errors import InvalidInputError, RecordingError, expect
 from handmap_core.se3 import Array, Arrays
-from handmap_qp.hands import OTHER_SIDE, HumanLengths, Side
+from handmap_qp.hands import OTHER_SIDE, HumanLengths, Names, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import read_archive, read_headers
 from handmap_qp.trackers.formats.base import (
     SIDES,
     TIME_UNITS,
@@ -163,18 +164,19 @@ def layout_hint(path: Path) -> str:
     """
     if path.suffix.lower() == ".npz":
         with suppress(RecordingError):
-            return _shaped_like(read_archive(path))
+            headers = read_headers(path)
+            return _shaped_like({name: each.shape for name, each in headers.items()})
     return ""
 
 
-def _shaped_like(arrays: Arrays) -> str:
+def _shaped_like(shapes: Mapping[str, tuple[int, ...]]) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
-    for name, array in arrays.items():
-        shape = array.shape[1:]
-        is_plain = shape in ((), (LANDMARK_COUNT, 3))
-        names = " or ".join([] if is_plain else layouts_of_shape(shape))
+    for name, shape in shapes.items():
+        sample = shape[1:]
+        is_plain = sample in ((), (LANDMARK_COUNT, 3))
+        names = " or ".join([] if is_plain else layouts_of_shape(sample))
         if names:
-            return f"{name} {array.shape} has the shape of --layout {names}"
+            return f"{name} {shape} has the shape of --layout {names}"
     return ""
 
 
@@ -225,10 +227,10 @@ def _values_name(
     )
     how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape {shapes}"
-    have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
-    listing = f"it has {', '.join(have)}"
-    hint = "" if chosen else _shaped_like(arrays)
-    raise InvalidInputError(f"{problem}; {hint or listing}")
+    have = {name: array.shape for name, array in arrays.items()}
+    listing = ", ".join(f"{name} {shape}" for name, shape in have.items() if shape)
+    hint = "" if chosen else _shaped_like(have)
+    raise InvalidInputError(f"{problem}; {hint or f'it has {listing}'}")
 
 
 def _wrists_name(
@@ -249,6 +251,43 @@ def as_wrists(given: Array) -> Array:
     return given.reshape(-1, *given.shape[-2:]) if given.ndim > 2 else given
 
 
+class TableColumns(NamedTuple):
+    """What the columns of a CSV file are.
+
+    Attributes:
+        side: Which hand they are of; None if they do not say it.
+        time: Name of the column of time; empty if there is none.
+        values: Names of the columns of the layout.
+    """
+
+    side: Side | None
+    time: str
+    values: Names
+
+    @property
+    def small(self) -> Arrays:
+        """What an `.npz` file would have besides time and values."""
+        return {} if self.side is None else {"handedness": np.array(self.side)}
+
+    def values_of(self, columns: Arrays, layout: Layout) -> Array:
+        """Return the samples of a table's columns, shape (T, n)."""
+        return layout.from_columns(columns, self.side or "right")
+
+
+def columns_of_table(
+    header: Collection[str], layout: Layout, side: Side | None
+) -> TableColumns:
+    """Find the columns of a layout by the header of a CSV file.
+
+    Raises:
+        InvalidInputError: If one is missing.
+    """
+    hand = side or _named_side(" ".join(header).lower())
+    own = layout.find_columns(header, hand or "right").values()
+    times = [name for name in _time_units(layout) if name in header]
+    return TableColumns(hand, times[0] if times else "", tuple(own))
+
+
 def _read_columns(
     file: Path,
     layout: Layout,
@@ -256,15 +295,11 @@ def _read_columns(
 ) -> Arrays:
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
     with opened_table(file, is_padded=True) as (header, rows):
-        hand = side or _named_side(" ".join(header).lower())
-        own = layout.find_columns(header, hand or "right").values()
-        times = [name for name in _time_units(layout) if name in header][:1]
-        columns = numbers(rows, header, [*times, *own])
+        found = columns_of_table(header, layout, side)
+        times = [found.time] if found.time else []
+        columns = numbers(rows, header, [*times, *found.values])
     arrays = {name: columns[name] for name in times}
-    arrays["values"] = layout.from_columns(columns, hand or "right")
-    if hand is not None:
-        arrays["handedness"] = np.array(hand)
-    return arrays
+    return arrays | {"values": found.values_of(columns, layout)} | found.small
 
 
 def _named_side(header: str) -> Side | None:

@@ -1,13 +1,16 @@
 """Layouts of optical markers: names of markers on the links of the human model, which is fitted."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import expect
 from handmap_core.se3 import FARTHEST, Array, rigid_fit, transform_points
 from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
+from handmap_qp.human import LANDMARK_COUNT
 from handmap_qp.ik import IkOptions, PointIk
-from .base import Hands, Layout, Rows, sized_human
+from .base import Hands, HandsOf, Layout, Rows, sized_human
 
 _FIT = IkOptions(
     rest_weight=0.01,
@@ -32,6 +35,42 @@ class MarkerEntry(Document, frozen=True):
     name: str
     link: str
     xyz: Vector
+
+
+class _MarkerFit:
+    """Fits the human model to markers; each sample starts at the posture of the one before.
+
+    Args:
+        human: The human hand, its reference points the markers.
+        world: `Layout.world`.
+        on_palm: Indices of the markers on the palm.
+    """
+
+    def __init__(self, human: Hand, world: Array, on_palm: list[int]) -> None:
+        self._human = human
+        self._world = world
+        self._on_palm = on_palm
+        self._landmarks = human.with_points("landmarks")
+        self._ik = PointIk(human, _FIT)
+        self._is_placed = False
+
+    def __call__(self, values: Array, wrists: Array | None) -> Hands:
+        """Fit the next samples; see `Layout.hands`."""
+        human = self._human
+        markers = transform_points(self._world, values)
+        if not self._is_placed:
+            palm = human.points(human.rest)[self._on_palm]
+            wrist = rigid_fit(palm, markers[0, self._on_palm])
+            self._ik.place(human.configuration_vector(human.rest, wrist))
+            self._is_placed = True
+        landmarks = np.empty((len(markers), LANDMARK_COUNT, 3))
+        poses = np.empty((len(markers), 4, 4))
+        for i, sample in enumerate(markers):
+            # A fit takes 40 kB: none is kept.
+            fit = self._ik.solve(sample, None, 1.0)
+            poses[i] = fit.wrist
+            landmarks[i] = self._landmarks.points(fit.q[human.q_indices], fit.wrist)
+        return landmarks, poses
 
 
 class MarkerLayout(Layout, tag="markers", kw_only=True):
@@ -80,23 +119,28 @@ class MarkerLayout(Layout, tag="markers", kw_only=True):
         lengths: HumanLengths | None,
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
+        return self.follow(side, lengths)(values, wrists)
+
+    def follow(self, side: Side, lengths: HumanLengths | None) -> HandsOf:
+        """Return a fit that starts each sample at the one before; see `Layout.follow`."""
         human = sized_human(side, lengths, self._points(side))
-        ik = PointIk(human, _FIT)
-        landmarks = human.with_points("landmarks")
-        markers = transform_points(self.world, values)
-        farthest = np.abs(markers).max()
+        return _MarkerFit(human, self.world, self._on_palm)
+
+    def check(self, parts: Iterable[Array]) -> None:
+        """Reject markers that are too far away; see `Layout.check`."""
+        farthest = max(
+            (
+                float(np.abs(transform_points(self.world, values)).max())
+                for values in parts
+            ),
+            default=0.0,
+        )
         expect(
             farthest <= FARTHEST,
             "values",
             f"coordinates within {FARTHEST:g} m",
             got=f"{farthest:.3g} m",
         )
-        palm = human.points(human.rest)[self._on_palm]
-        wrist = rigid_fit(palm, markers[0, self._on_palm])
-        ik.place(human.configuration_vector(human.rest, wrist))
-        fits = [ik.solve(sample, None, 1.0) for sample in markers]
-        found = [landmarks.points(fit.q[human.q_indices], fit.wrist) for fit in fits]
-        return np.array(found), np.array([fit.wrist for fit in fits])
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the markers on the human hand; see `Layout.write_posture`."""

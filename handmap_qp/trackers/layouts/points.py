@@ -68,7 +68,7 @@ class PointLayout(Layout, tag="points", kw_only=True):
     quaternion: QuatOrder = "xyzw"
     is_relative: bool = False
     between: dict[int, BetweenTable] = {}
-    is_by_sample = True
+    is_costly = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
