@@ -46,6 +46,20 @@ THREE = Library(
     },
 )
 
+VISION = Library(
+    "@mediapipe/tasks-vision",
+    "1.1.0",
+    "649aa1d3030a388368adf49f7ef0c0c73c8ed7ffdcf85886dc893339d3439cba"
+    "af041dc36cc7e3d1b07fb72b3648d7fd4bdd78b20a086c8a45e074ce8b7dfa72",
+    {
+        "vision_bundle.mjs": "vision/vision_bundle.mjs",
+        "wasm/vision_wasm_internal.js": "vision/wasm/vision_wasm_internal.js",
+        "wasm/vision_wasm_internal.wasm": "vision/wasm/vision_wasm_internal.wasm",
+        "wasm/vision_wasm_module_internal.js": "vision/wasm/vision_wasm_module_internal.js",
+        "wasm/vision_wasm_module_internal.wasm": "vision/wasm/vision_wasm_module_internal.wasm",
+    },
+)
+
 
 def fetch(library: Library, cache: Path, target: Path) -> None:
     """Take files of a library; its archive is kept, so that the next time needs no network.

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from fetched import THREE, fetch
+import trimesh
+from compile_wasm import compile_wasm
+from fetched import THREE, VISION, fetch
 
-from build import build
 from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
 from handmap_qp.apps.drawing.hands import simplified
 from handmap_qp.apps.drawing.shapes import read_shapes
@@ -61,20 +62,29 @@ HANDS = {
 """Hands of the page, by their names; the first one is shown at first."""
 
 
-def pack(target: Path, names: list[str], wasm: Path | None = None) -> None:
+def pack(
+    target: Path,
+    names: list[str],
+    wasm: Path | None = None,
+    model: Path | None = None,
+) -> None:
     """Make the page in a folder.
 
     Args:
         target: The folder, which is made anew.
         names: Hands of the page, among `HANDS`.
         wasm: The compiled library; compiled if omitted.
+        model: MediaPipe's `hand_landmarker.task`, for webcams; without it, the page has none.
     """
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(_FOLDER / "playground", target)
     shutil.copy(_FOLDER / "src" / "handmap.js", target)
     fetch(THREE, _CACHE, target)
+    if model is not None:
+        fetch(VISION, _CACHE, target)
+        shutil.copy(model, target / "vision" / "hand_landmarker.task")
     if wasm is None:
-        build(target / "handmap.wasm")
+        compile_wasm(target / "handmap.wasm")
     else:
         shutil.copy(wasm, target / "handmap.wasm")
     recording = read_recording("demo", "right")
@@ -118,7 +128,8 @@ def _licence(package: str) -> str:
         about = metadata(package)
     except ImportError:
         return ""
-    return about.get("License-Expression") or about.get("License") or ""
+    named = [about[key] for key in ("License-Expression", "License") if key in about]
+    return str(named[0]) if named else ""
 
 
 def _write_shapes(robot: Hand, file: Path) -> int:
@@ -127,17 +138,13 @@ def _write_shapes(robot: Hand, file: Path) -> int:
     Returns:
         The number of triangles.
     """
-    import trimesh
-
     links = []
     blocks: list[bytes] = []
     total = 0
     found = read_shapes(robot, "visual") or read_shapes(robot, "collision")
     for link, shapes in found.items():
         meshes = [trimesh.Trimesh(m.vertices, m.faces) for s, _ in shapes for m in s]
-        mesh = trimesh.util.concatenate(meshes)
-        mesh.merge_vertices()
-        mesh = simplified(mesh, _MOST_TRIANGLES)
+        mesh = simplified(_welded(meshes), _MOST_TRIANGLES)
         colour = next((list(own) for _, own in shapes if own), None)
         vertices = np.asarray(mesh.vertices, dtype="<f4")
         faces = np.asarray(mesh.faces, dtype="<u4")
@@ -157,6 +164,13 @@ def _write_shapes(robot: Hand, file: Path) -> int:
     size = np.array([len(head)], dtype="<u4").tobytes()
     file.write_bytes(size + head + b"".join(blocks))
     return total
+
+
+def _welded(meshes: list[trimesh.Trimesh]) -> Any:
+    """Return meshes as one, whose vertices at one place are one."""
+    mesh: Any = trimesh.util.concatenate(meshes)
+    mesh.merge_vertices()
+    return mesh
 
 
 def _write_recording(recording: Recording, file: Path) -> None:
@@ -206,8 +220,17 @@ def main(words: list[str]) -> None:
     parser.add_argument(
         "--wasm", type=Path, help="handmap.wasm, if it is there already"
     )
+    parser.add_argument(
+        "--webcam",
+        type=Path,
+        metavar="hand_landmarker.task",
+        help="MediaPipe's model, to lead hands by a webcam, too: 40 MB more",
+    )
     given = parser.parse_args(words)
-    pack(given.folder, given.hands, given.wasm)
+    for file in filter(None, (given.wasm, given.webcam)):
+        if not file.is_file():
+            parser.error(f"{file} is not there")
+    pack(given.folder, given.hands, given.wasm, given.webcam)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The playground in Chromium: every input leads the robot, on desktops and phones, without a network."""
+"""The playground in Chromium: every input leads the robot, on desktops, phones, and offline."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TIP = 8  # of the index finger
 class Quiet(SimpleHTTPRequestHandler):
     """Serves files, and prints nothing."""
 
-    def log_message(self, *_: Any) -> None:
+    def log_message(self, format: str, *args: Any) -> None:
         """Say nothing of a request."""
 
 
@@ -64,7 +64,7 @@ def page(address: str) -> Iterator[Browser]:
     program = find_chromium()
     if program is None:
         pytest.skip("needs Chromium")
-    with Browser(program, size=(1000, 700)) as browser:
+    with Browser(program, size=(640, 420)) as browser:
         browser.open(address)
         browser.wait_for("document.body && document.body.dataset.frames > 0")
         yield browser
@@ -107,14 +107,14 @@ def test_a_fingertip_is_dragged(page: Browser) -> None:
         f"playground.scene.onScreen(playground.scene.person.points[{TIP}])"
     )
     # Down, to the palm: the finger bends.
-    ends = at, [at[0], at[1] + 120]
+    ends = at, [at[0], at[1] + 70]
     for kind, (x, y) in zip(("mousePressed", "mouseMoved"), ends, strict=True):
         page.call(
             "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
         )
     wait_to_move(page)
     page.wait_for(
-        f"playground.scene.onScreen(playground.scene.person.points[{TIP}])[1] > {at[1] + 60}"
+        f"playground.scene.onScreen(playground.scene.person.points[{TIP}])[1] > {at[1] + 35}"
     )
     page.call(
         "Input.dispatchMouseEvent",
@@ -210,7 +210,7 @@ def test_both_hands_are_seen_on_a_phone_and_nothing_is_wider(page: Browser) -> N
     )
     assert (points > 0).all()
     assert (points < size).all()
-    page.resize(1000, 700)
+    page.resize(640, 420)
 
 
 def test_it_works_without_a_network_and_asks_no_other_host(

@@ -19,7 +19,7 @@ def compiled_library() -> Path:
     if shutil.which("emcc") is None:
         pytest.skip("needs Emscripten: apt install emscripten")
     sources = [
-        PACKAGE / "build.py",
+        PACKAGE / "compile_wasm.py",
         ROOT / "core" / "library" / "handmap.cpp",
         *sorted((ROOT / "core" / "include" / "handmap").iterdir()),
     ]
@@ -27,7 +27,7 @@ def compiled_library() -> Path:
     target = ROOT / "build" / "wasm" / f"handmap-{content:08x}.wasm"
     if not target.is_file():
         part = target.with_suffix(f".{content:x}.part.wasm")
-        program = [sys.executable, PACKAGE / "build.py", part]
+        program = [sys.executable, PACKAGE / "compile_wasm.py", part]
         done = subprocess.run(program, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         part.replace(target)

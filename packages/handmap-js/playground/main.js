@@ -206,11 +206,10 @@ class Playground {
     this.headset = null;
     this.input = input;
     find("hint").textContent = input === "drag" ? "Drag a fingertip of your hand, on the left." : "";
-    find("model-file").hidden = input !== "webcam";
     const say = (text) => { find("input-state").textContent = text; };
     say("");
     if (input === "webcam") {
-      this.webcam = new Webcam(say, find("model-file").querySelector("input"));
+      this.webcam = new Webcam(say);
       await this.webcam.start();
     }
     if (input === "headset") {

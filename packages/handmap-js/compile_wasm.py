@@ -1,6 +1,6 @@
 """Compile the library in C to `dist/handmap.wasm`, for browsers and Node.
 
-python packages/handmap-js/build.py [FILE.wasm]
+python packages/handmap-js/compile_wasm.py [FILE.wasm]
 
 It takes Emscripten (`emcc`, 3.1.6 or later: `apt install emscripten`). Exceptions are those of
 WebAssembly, which Chrome 95, Firefox 100, Safari 15.2 and Node 18 have.
@@ -33,7 +33,7 @@ def version() -> str:
     return found[1]
 
 
-def build(target: Path) -> None:
+def compile_wasm(target: Path) -> None:
     """Compile the library into a file.
 
     Raises:
@@ -70,4 +70,6 @@ def build(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    build(Path(sys.argv[1]) if sys.argv[1:] else _FOLDER / "dist" / "handmap.wasm")
+    compile_wasm(
+        Path(sys.argv[1]) if sys.argv[1:] else _FOLDER / "dist" / "handmap.wasm"
+    )
