@@ -49,13 +49,13 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test full fast lint docs site wheel lowest paths bench strangers judges peers lock clean
+.PHONY: help demo test full fast lint docs site wheel lowest playground paths bench strangers judges peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
 	@echo
 	@echo "make TARGET, with TARGET one of"
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 3 GB for the others."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
@@ -107,6 +107,9 @@ lowest: ## Run the suite with the lowest versions that pyproject.toml allows; ne
 	    $(addprefix --editable ,'.[all]' ./packages/drive ./packages/score ./packages/sources) --group dev && \
 	uv pip install --quiet --python $(LOWEST)/bin/python --no-deps $(MODELS) && \
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
+
+playground: $(INSTALLED) ## Make a page with saved hands, in build/playground; needs Emscripten (apt install emscripten)
+	@$(BIN)/python packages/handmap-js/pack.py build/playground
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
 	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours robot_computer; do \

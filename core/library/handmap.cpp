@@ -167,6 +167,13 @@ size_t handmap_joint_count(const handmap_follower* hand) { return hand->follower
 const char* handmap_joint_name(const handmap_follower* hand, size_t joint) {
   return name_at(hand->follower.joint_names, joint);
 }
+handmap_result handmap_joint_limits(handmap_follower* hand, double* lower, double* upper,
+                                    double* speed) {
+  return worked(hand, [&](Follower& follower) {
+    for (const double* each : {lower, upper, speed}) expect_given(each, "limits");
+    follower.joint_limits(lower, upper, speed);
+  });
+}
 size_t handmap_human_joint_count(const handmap_follower* hand) {
   return hand->follower.human_joint_names.size();
 }

@@ -149,7 +149,7 @@ def agree(follows: Follows, step: MapStep) -> None:
         np.reshape(command.wrist, (4, 4)), step.command.wrist, atol=1e-9
     )
     assert command.rule.decode() == (step.verdict.rule if step.verdict else "")
-    assert follows.status == ("released" if step.is_held else step.status)
+    assert follows.status == step.stages.ik.status
     assert bool(command.is_held) == step.is_held
     assert bool(command.is_gliding) == step.is_gliding
 
@@ -267,6 +267,38 @@ def test_a_wrist_in_floats_is_made_a_rotation(
         )
         follows.follow(loose)
         agree(follows, follower.map_sample(loose))
+
+
+def test_links_and_landmarks_are_where_python_has_them(
+    library: ctypes.CDLL, mapper: HandMapper, saved: bytes
+) -> None:
+    follows = Follows(library, saved)
+    recording = recording_with("")
+    for i in range(20):
+        follows.follow(recording.sample(i))
+    count = library.handmap_link_count(follows.hand)
+    names = [library.handmap_link_name(follows.hand, i).decode() for i in range(count)]
+    poses = np.zeros((count, 4, 4))
+    assert library.handmap_link_poses(follows.hand, numbers(poses)) == 0
+    robot = mapper.robot
+    wrist = np.reshape(follows.command.wrist, (4, 4))
+    expected = robot.link_poses(names, follows.q, wrist)
+    np.testing.assert_allclose(poses, expected, atol=1e-9)
+    human = mapper.human
+    q = human.rest + 0.3 * (human.upper_limits - human.rest)
+    landmarks = np.zeros((21, 3))
+    done = library.handmap_human_landmarks(
+        follows.hand, numbers(q), numbers(wrist), numbers(landmarks)
+    )
+    assert done == 0
+    np.testing.assert_allclose(landmarks, human.points(q, wrist), atol=1e-9)
+    limits = np.zeros((3, len(robot.joint_names)))
+    assert library.handmap_joint_limits(follows.hand, *map(numbers, limits)) == 0
+    np.testing.assert_array_equal(limits[:2], robot.limits)
+    np.testing.assert_array_equal(limits[2], robot.velocity_limits)
+    assert library.handmap_joint_limits(follows.hand, None, None, None) == (
+        INVALID_INPUT
+    )
 
 
 # -- stopping

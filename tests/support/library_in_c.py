@@ -133,6 +133,8 @@ def loaded(prefix: Path) -> ctypes.CDLL:
     library.handmap_joint_count.restype = ctypes.c_size_t
     library.handmap_human_joint_count.restype = ctypes.c_size_t
     library.handmap_human_joint_name.restype = ctypes.c_char_p
+    library.handmap_link_name.restype = ctypes.c_char_p
+    library.handmap_link_count.restype = ctypes.c_size_t
     library.handmap_default_options.restype = Options
     library.handmap_new_sample.restype = Sample
     library.handmap_new_sample.argtypes = [ctypes.c_double, _Numbers]
@@ -150,8 +152,13 @@ def loaded(prefix: Path) -> ctypes.CDLL:
         "usual_dt": [],
         "joint_count": [],
         "joint_name": [ctypes.c_size_t],
+        "joint_limits": [numbers, numbers, numbers],
         "human_joint_count": [],
         "human_joint_name": [ctypes.c_size_t],
+        "link_count": [],
+        "link_name": [ctypes.c_size_t],
+        "link_poses": [numbers],
+        "human_landmarks": [numbers, numbers, numbers],
         "follow": [ctypes.POINTER(Sample), command],
         "map_landmarks": [numbers, numbers, number, command],
         "map_joints": [numbers, numbers, number, command],

@@ -74,6 +74,15 @@ class Follower {
       to[j] = motion.displacement[ik_.tree.joint_columns[j]] / motion.dt;
   }
 
+  // Write the limits of the joints: positions [rad or m], and speeds [rad/s or m/s], which may be infinite.
+  void joint_limits(double* lower, double* upper, double* speed) const {
+    for (size_t j = 0; j < joint_names.size(); ++j) {
+      lower[j] = ik_.tree.lower[j];
+      upper[j] = ik_.tree.upper[j];
+      speed[j] = ik_.limits.speeds[ik_.tree.joint_columns[j]];
+    }
+  }
+
   // Write the pose of each link of the robot in its world after the last command.
   void link_poses(std::vector<Pose>& to) {
     ik_.at.place(ik_.motion.q.data());

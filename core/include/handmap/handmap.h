@@ -115,6 +115,10 @@ HANDMAP_API const char *handmap_side(const handmap_follower *hand); /* of the pe
 HANDMAP_API double handmap_usual_dt(const handmap_follower *hand);  /* between samples [s] */
 HANDMAP_API size_t handmap_joint_count(const handmap_follower *hand);
 HANDMAP_API const char *handmap_joint_name(const handmap_follower *hand, size_t joint);
+/* Limits of the joints: positions [rad or m], and speeds [rad/s or m/s], which may be infinite. Each array
+ * has room for all joints. */
+HANDMAP_API handmap_result handmap_joint_limits(handmap_follower *hand, double *lower, double *upper,
+                                                double *speed);
 HANDMAP_API size_t handmap_human_joint_count(const handmap_follower *hand);
 HANDMAP_API const char *handmap_human_joint_name(const handmap_follower *hand, size_t joint);
 
