@@ -7,7 +7,7 @@ whose models other packages ship (`urdf/described/<name>.yaml`). Only the human'
 import difflib
 from collections.abc import Container, Iterable
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from handmap_core.errors import (
@@ -54,8 +54,18 @@ def missing_hands() -> dict[str, str]:
     return {
         name: reason
         for name, file in hand_files().items()
-        if (reason := why_missing(read_hand_spec(file)))
+        if (reason := why_missing(_named_spec(file, file.stat().st_mtime_ns)))
     }
+
+
+@cache
+def _named_spec(file: Path, changed: int) -> HandSpec:
+    """Read the description of a hand that has a name; again if the file was `changed`.
+
+    It is not to be changed. To read all takes 60 ms, and every service and many messages ask which
+    are installed.
+    """
+    return read_hand_spec(file)
 
 
 def why_missing(spec: HandSpec) -> str:

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from handmap_core.errors import InvalidInputError, require
 from handmap_core.se3 import Array, affine, lengths, unit
@@ -125,6 +123,10 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
         mesh: A `trimesh.Trimesh` [m].
         colour: Red, green and blue in 0..1.
     """
+    # They take .2 s to import, and only pictures with meshes need them.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     faces = mesh.faces
     count = len(faces)
     # A surface is faces that meet at small angles: in each, a vertex has a normal of its own.

@@ -11,8 +11,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import Rotation
 
 from handmap_core.se3 import Array, affine, box_of, lengths, transform_points, unit
 
@@ -108,6 +106,9 @@ class Camera(NamedTuple):
         Returns:
             The camera.
         """
+        # It takes .1 s to import, and only pictures need it.
+        from scipy.spatial.transform import Rotation
+
         middle = box_of(points).mean(axis=0)
         radius = max(lengths(points - middle).max(), 1e-6)
         turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
@@ -267,6 +268,9 @@ def _creases(depth: Array, camera: Camera) -> Array:
 
     A pixel is in a hollow if it is behind the mean depth of two opposite neighbours.
     """
+    # It takes .1 s to import, and only pictures need it.
+    from scipy.ndimage import gaussian_filter
+
     is_solid = np.isfinite(depth)
     solid = depth[is_solid]
     hollow = np.zeros_like(depth)
