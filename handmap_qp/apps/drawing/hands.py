@@ -9,6 +9,7 @@ of anything drawn over it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_core.errors import InvalidInputError, require
-from handmap_core.se3 import Array, affine, lengths, unit
+from handmap_core.se3 import Array, affine, cross, lengths, transform_points, unit
 from handmap_qp.hands import Hand
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes
@@ -157,7 +158,7 @@ def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    corners = require("trimesh", "plot").creation.icosphere().triangles
+    corners = _ball()
     places = np.reshape(centres, (-1, 1, 1, 3))
     vertices = (places + radius * corners).reshape(-1, 3, 3)
     return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
@@ -176,8 +177,31 @@ def tube(ends: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """
     if lengths(np.ptp(ends, axis=0)) < _SHORTEST:
         return merged([])
+    first, last = np.asarray(ends, dtype=float)
+    axis = unit(last - first)
+    # Any frame with this z axis will do.
+    side = unit(cross(axis, np.eye(3)[np.abs(axis).argmin()]))
+    turn = np.column_stack([side, cross(axis, side), axis])
+    stretch = np.diag([radius, radius, lengths(last - first)])
+    vertices, normals = _rod()
+    place = affine(turn @ stretch, 0.5 * (first + last))
+    placed = transform_points(place, vertices.reshape(-1, 3)).reshape(vertices.shape)
+    turned = (normals.reshape(-1, 3) @ turn.T).reshape(normals.shape)
+    return Triangles.painted(placed, turned, colour)
+
+
+@cache
+def _ball() -> Array:
+    """Return the triangles of a ball of radius 1, shape (320, 3, 3)."""
+    return require("trimesh", "plot").creation.icosphere(subdivisions=2).triangles
+
+
+@cache
+def _rod() -> tuple[Array, Array]:
+    """Return triangles and normals of a rod along z of radius and length 1, from -.5 to .5."""
     cylinder = require("trimesh", "plot").creation.cylinder
-    return solid(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
+    rod = solid(cylinder(1.0, 1.0, sections=_TUBE_SIDES), GREY)
+    return rod.vertices, rod.normals
 
 
 def draw_hands(
