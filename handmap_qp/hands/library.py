@@ -5,8 +5,10 @@ whose models other packages ship (`urdf/described/<name>.yaml`). Only the human'
 """
 
 import difflib
+import warnings
 from collections.abc import Container, Iterable
 from contextlib import suppress
+from copy import copy
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from handmap_core.errors import (
 from handmap_core.hands import SIDES, Names, Side
 from .hand import Hand, Points
 from .human import HumanLengths
-from .sources import source_file, urdf_directory
+from .sources import source_file, urdf_directory, urdf_path
 from .spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
@@ -207,8 +209,49 @@ def _is_there(name: str) -> bool:
 def _load(
     hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
 ) -> Hand:
-    spec = hand if isinstance(hand, HandSpec) else read_hand_spec(find_file(hand))
-    return Hand(spec, points=points, mount=mount)
+    if isinstance(hand, HandSpec):
+        return Hand(hand, points=points, mount=mount)
+    file = find_file(hand)
+    spec = read_hand_spec(file)
+    if str(hand) not in hand_files() or not isinstance(points, str | None):
+        return Hand(spec, points=points, mount=mount)
+    parts = [spec, *filter(None, [spec.arm])]
+    try:
+        changed = tuple(_changed(each) for each in (file, *map(urdf_path, parts)))
+    except OSError:
+        # It says which file is missing.
+        return Hand(spec, points=points, mount=mount)
+    kept = _named(file, changed, mount, points)
+    for note in kept.notes:
+        warnings.warn(f"{kept.name}: {note}", stacklevel=2)
+    # Callers may change neither: `spec` is what was read now, and a model takes 20 us to copy.
+    loaded = copy(kept)
+    loaded.spec = spec
+    loaded.model = kept.model.copy()
+    return loaded
+
+
+def _changed(file: Path) -> tuple[Path, int, int]:
+    """Return what tells a file from another one, and whether it was changed."""
+    about = file.stat()
+    return file, about.st_mtime_ns, about.st_size
+
+
+@lru_cache(maxsize=64)
+def _named(
+    file: Path,
+    changed: tuple[tuple[Path, int, int], ...],
+    mount: Mount | None,
+    points: str | None,
+) -> Hand:
+    """Build a hand that has a name, not to be changed; again if one of its files was `changed`.
+
+    Parsing and composing URDFs takes 10 ms. Users of a process share few hands, and programs such
+    as the service load each many times.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Hand(read_hand_spec(file), points=points, mount=mount)
 
 
 # Every recording has its own person; hands are read-only.
