@@ -215,36 +215,58 @@ def _load(
     spec = read_hand_spec(file)
     if str(hand) not in hand_files() or not isinstance(points, str | None):
         return Hand(spec, points=points, mount=mount)
-    parts = [spec, *filter(None, [spec.arm])]
     try:
-        changed = tuple(_changed(each) for each in (file, *map(urdf_path, parts)))
+        stamps = file_stamps(file, spec)
     except OSError:
         # It says which file is missing.
         return Hand(spec, points=points, mount=mount)
-    kept = _named(file, changed, mount, points)
+    kept = _named(file, stamps, mount, points)
+    if kept.spec != spec:
+        # A file that it extends was changed.
+        return Hand(spec, points=points, mount=mount)
+    return handed_out(kept, spec)
+
+
+Stamps = tuple[tuple[Path, int, int], ...]
+"""Files, and what changes when they do: the time of the change [ns], and the size [byte]."""
+
+
+def file_stamps(file: Path, *specs: HandSpec) -> Stamps:
+    """Return the stamps of a file, and of the URDFs of hands and their arms.
+
+    Raises:
+        HandError: As of `urdf_path`.
+        MissingExtraError: Likewise.
+        OSError: If a file is missing.
+    """
+    parts = [part for spec in specs for part in (spec, spec.arm) if part]
+    files = [file, *map(urdf_path, parts)]
+    about = [each.stat() for each in files]
+    return tuple(
+        (each, at.st_mtime_ns, at.st_size)
+        for each, at in zip(files, about, strict=True)
+    )
+
+
+def handed_out(kept: Hand, spec: HandSpec) -> Hand:
+    """Return a hand that is kept for later, with a model and a description that may change."""
     for note in kept.notes:
-        warnings.warn(f"{kept.name}: {note}", stacklevel=2)
-    # Callers may change neither: `spec` is what was read now, and a model takes 20 us to copy.
+        warnings.warn(f"{kept.name}: {note}", stacklevel=3)
     loaded = copy(kept)
     loaded.spec = spec
+    # It takes 20 us.
     loaded.model = kept.model.copy()
     return loaded
-
-
-def _changed(file: Path) -> tuple[Path, int, int]:
-    """Return what tells a file from another one, and whether it was changed."""
-    about = file.stat()
-    return file, about.st_mtime_ns, about.st_size
 
 
 @lru_cache(maxsize=64)
 def _named(
     file: Path,
-    changed: tuple[tuple[Path, int, int], ...],
+    stamps: Stamps,
     mount: Mount | None,
     points: str | None,
 ) -> Hand:
-    """Build a hand that has a name, not to be changed; again if one of its files was `changed`.
+    """Build a hand that has a name, not to be changed; again if `stamps` of its files change.
 
     Parsing and composing URDFs takes 10 ms. Users of a process share few hands, and programs such
     as the service load each many times.

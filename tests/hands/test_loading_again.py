@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands import library, read_hand_spec
+from handmap_qp.hands import library, load_robot, read_hand_spec
 from handmap_qp.hands.library import missing_hands
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.urdf import parse_urdf
@@ -109,3 +109,63 @@ def test_its_notes_are_said_each_time(
     for _ in range(2):
         with pytest.warns(UserWarning, match=f"{NAME}: is odd"):
             load_hand(NAME)
+
+
+def test_a_robot_is_the_same_and_its_users_own() -> None:
+    first = load_robot("g1")
+    text, speeds = first.urdf_text, first.velocity_limits.copy()
+    for hand in first.hands:
+        hand.model.velocityLimit[:] = 0.0
+        hand.spec.rest.clear()
+    again = load_robot("g1")
+    assert again is not first
+    assert again.urdf_text == text
+    assert [hand.side for hand in again.hands] == [hand.side for hand in first.hands]
+    for hand in (again, *again.hands):
+        assert (hand.model.velocityLimit[hand.v_indices] == speeds).all()
+        assert hand.spec.rest.keys() == {*hand.joint_names}
+    assert again.has_floating_base == first.has_floating_base
+
+
+@pytest.fixture
+def pair(folder: Path) -> Path:
+    """The description of a robot that has a name, with the hand that may be changed."""
+    file = folder.parent / "pair" / "robot.yaml"
+    file.parent.mkdir()
+    text = f"name: pair\nhands:\n  right: {{hand: {NAME}}}\n"
+    file.write_text(text, encoding="utf-8")
+    assert load_robot("pair").name == load_robot("pair").name == "pair"
+    return file
+
+
+def test_a_changed_robot_with_hands_is_read_again(pair: Path) -> None:
+    edited(pair, lambda text: text.replace("name: pair", "name: other"))
+    assert load_robot("pair").name == "other"
+
+
+def test_a_robot_whose_hand_changes_is_read_again(pair: Path, folder: Path) -> None:
+    edited(folder / "hand.yaml", lambda text: text.replace("side: right", "side: left"))
+    with pytest.raises(HandError, match="is a left hand"):
+        load_robot("pair")
+
+
+def test_a_robot_whose_urdf_changes_is_read_again(pair: Path, folder: Path) -> None:
+    joint = load_robot("pair").joint_names[0]
+    edited(
+        folder / "hand.urdf",
+        lambda text: text.replace(f'name="{joint}"', 'name="renamed"'),
+    )
+    with pytest.raises(HandError, match="renamed"):
+        load_robot("pair")
+
+
+def test_a_hand_is_read_again_when_the_file_that_it_extends_changes(
+    folder: Path,
+) -> None:
+    (folder.parent / "mine").mkdir()
+    (folder.parent / "mine" / "hand.yaml").write_text(
+        f"extends: ../{NAME}/hand.yaml\nname: mine\n", encoding="utf-8"
+    )
+    assert load_hand("mine").side == "right"
+    edited(folder / "hand.yaml", lambda text: text.replace("side: right", "side: left"))
+    assert load_hand("mine").side == "left"
