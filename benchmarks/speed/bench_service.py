@@ -512,9 +512,12 @@ def main(words: Sequence[str] | None = None) -> None:
         to_stderr=arguments.json == "-",
         caption=caption,
     )
-    sessions = 4 if arguments.quick else arguments.sessions
+    # A quick run shows that it works: the server alone and one with a worker, a turn each.
+    sessions, workers, rounds = arguments.sessions, arguments.workers, 3
+    if arguments.quick:
+        sessions, workers, rounds = 2, workers[:2], 1
     by_cores = sessions_by_cores(
-        arguments.workers, recording, sessions, _TRACKER_RATE, duration
+        workers, recording, sessions, _TRACKER_RATE, duration, rounds
     )
     if by_cores:
         common.print_table(

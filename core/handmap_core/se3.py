@@ -454,9 +454,13 @@ def _as_array(value: Any) -> Array | None:
 
 
 def _has_shape(array: Array, shape: tuple[int | str, ...]) -> bool:
-    return array.ndim == len(shape) and all(
-        isinstance(wanted, str) or size == wanted
-        for size, wanted in zip(array.shape, shape, strict=True)
+    # Most shapes have no letter.
+    return array.shape == shape or (
+        array.ndim == len(shape)
+        and all(
+            isinstance(wanted, str) or size == wanted
+            for size, wanted in zip(array.shape, shape, strict=True)
+        )
     )
 
 

@@ -444,7 +444,6 @@ class Hand:
             InvalidInputError: On a wrong shape, numbers that are not finite, or a wrong wrist pose.
         """
         angles = as_floats(q, "q", shape=(len(self.joint_names),), is_finite=True)
-        pose = np.eye(4)
         if wrist_pose is not None:
             pose = check_pose(wrist_pose, "wrist_pose")
             expected = (
@@ -452,9 +451,13 @@ class Hand:
             )
             expect(self.is_floating, "wrist_pose", expected, value=wrist_pose)
         vector = np.zeros(self._size)
-        vector[self._moving_q] = self.all_joints(angles)[: len(self._moving_q)]
+        positions = angles @ self._motion.T + self._shift
+        vector[self._moving_q] = positions[: len(self._moving_q)]
         if self.is_floating:
-            vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(pose) * self._wrist_to_root)
+            root = self._wrist_to_root
+            if wrist_pose is not None:
+                root = pin.SE3(pose) * root
+            vector[:7] = pin.SE3ToXYZQUAT(root)
         return vector
 
     def configuration_vectors(self, q: ArrayLike) -> Array:

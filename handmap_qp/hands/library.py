@@ -5,9 +5,11 @@ whose models other packages ship (`urdf/described/<name>.yaml`). Only the human'
 """
 
 import difflib
+import warnings
 from collections.abc import Container, Iterable
 from contextlib import suppress
-from functools import lru_cache
+from copy import copy
+from functools import cache, lru_cache
 from pathlib import Path
 
 from handmap_core.errors import (
@@ -22,7 +24,7 @@ from handmap_core.errors import (
 from handmap_core.hands import SIDES, Names, Side
 from .hand import Hand, Points
 from .human import HumanLengths
-from .sources import source_file, urdf_directory
+from .sources import source_file, urdf_directory, urdf_path
 from .spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
@@ -54,8 +56,18 @@ def missing_hands() -> dict[str, str]:
     return {
         name: reason
         for name, file in hand_files().items()
-        if (reason := why_missing(read_hand_spec(file)))
+        if (reason := why_missing(_named_spec(file, file.stat().st_mtime_ns)))
     }
+
+
+@cache
+def _named_spec(file: Path, changed: int) -> HandSpec:
+    """Read the description of a hand that has a name; again if the file was `changed`.
+
+    It is not to be changed. To read all takes 60 ms, and every service and many messages ask which
+    are installed.
+    """
+    return read_hand_spec(file)
 
 
 def why_missing(spec: HandSpec) -> str:
@@ -197,8 +209,71 @@ def _is_there(name: str) -> bool:
 def _load(
     hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
 ) -> Hand:
-    spec = hand if isinstance(hand, HandSpec) else read_hand_spec(find_file(hand))
-    return Hand(spec, points=points, mount=mount)
+    if isinstance(hand, HandSpec):
+        return Hand(hand, points=points, mount=mount)
+    file = find_file(hand)
+    spec = read_hand_spec(file)
+    if str(hand) not in hand_files() or not isinstance(points, str | None):
+        return Hand(spec, points=points, mount=mount)
+    try:
+        stamps = file_stamps(file, spec)
+    except OSError:
+        # It says which file is missing.
+        return Hand(spec, points=points, mount=mount)
+    kept = _named(file, stamps, mount, points)
+    if kept.spec != spec:
+        # A file that it extends was changed.
+        return Hand(spec, points=points, mount=mount)
+    return handed_out(kept, spec)
+
+
+Stamps = tuple[tuple[Path, int, int], ...]
+"""Files, and what changes when they do: the time of the change [ns], and the size [byte]."""
+
+
+def file_stamps(file: Path, *specs: HandSpec) -> Stamps:
+    """Return the stamps of a file, and of the URDFs of hands and their arms.
+
+    Raises:
+        HandError: As of `urdf_path`.
+        MissingExtraError: Likewise.
+        OSError: If a file is missing.
+    """
+    parts = [part for spec in specs for part in (spec, spec.arm) if part]
+    files = [file, *map(urdf_path, parts)]
+    about = [each.stat() for each in files]
+    return tuple(
+        (each, at.st_mtime_ns, at.st_size)
+        for each, at in zip(files, about, strict=True)
+    )
+
+
+def handed_out(kept: Hand, spec: HandSpec) -> Hand:
+    """Return a hand that is kept for later, with a model and a description that may change."""
+    for note in kept.notes:
+        warnings.warn(f"{kept.name}: {note}", stacklevel=3)
+    loaded = copy(kept)
+    loaded.spec = spec
+    # It takes 20 us.
+    loaded.model = kept.model.copy()
+    return loaded
+
+
+@lru_cache(maxsize=64)
+def _named(
+    file: Path,
+    stamps: Stamps,
+    mount: Mount | None,
+    points: str | None,
+) -> Hand:
+    """Build a hand that has a name, not to be changed; again if `stamps` of its files change.
+
+    Parsing and composing URDFs takes 10 ms. Users of a process share few hands, and programs such
+    as the service load each many times.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Hand(read_hand_spec(file), points=points, mount=mount)
 
 
 # Every recording has its own person; hands are read-only.

@@ -14,7 +14,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -208,6 +208,12 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     return worst
 
 
+@cache
+def _version(package: str) -> str:
+    """Return the version of an installed package, which takes 2 ms to read."""
+    return importlib.metadata.version(package)
+
+
 def cached_urdf(file: Path, converted: ConvertedMjcf | None = None) -> Path:
     """Return the URDF of an MJCF file in the user's cache; its meshes lie beside it.
 
@@ -223,7 +229,7 @@ def cached_urdf(file: Path, converted: ConvertedMjcf | None = None) -> Path:
     """
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     cache = Path(home) / "handmap_qp/mjcf"
-    versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
+    versions = [_version(name) for name in ("handmap-qp", "mujoco")]
     others = sorted(file.parent.glob("*.xml"))
     files = [(o.name, o.stat().st_size, o.stat().st_mtime_ns) for o in others]
     key = repr((file.resolve(), versions, _CONVERSION, files))

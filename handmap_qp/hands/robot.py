@@ -13,13 +13,14 @@ A hand of a robot is a `Hand` whose model is that of the whole robot: palm, wris
 own, and every `q` has all joints of the robot. So a method, a task or a limit needs no other hand.
 """
 
+import warnings
 from collections.abc import Sequence
-from copy import copy
-from functools import reduce
+from copy import copy, deepcopy
+from functools import lru_cache, reduce
 from itertools import compress
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from msgspec import Meta, field
@@ -28,7 +29,15 @@ from msgspec.structs import replace
 from handmap_core.errors import HandError, expect
 from handmap_core.hands import Side
 from .hand import Hand
-from .library import find_file, load_hand, robot_files, sided_name
+from .library import (
+    Stamps,
+    file_stamps,
+    find_file,
+    handed_out,
+    load_hand,
+    robot_files,
+    sided_name,
+)
 from .model import compose_urdf
 from .sources import source_file
 from .spec import (
@@ -143,8 +152,46 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         HandError: If there is no such robot, or its description or that of a hand cannot be used.
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
-    if not isinstance(robot, RobotSpec):
-        robot = read_robot_spec(find_file(robot, "robot"))
+    if isinstance(robot, RobotSpec):
+        return _build(robot)
+    file = find_file(robot, "robot")
+    spec = read_robot_spec(file)
+    hands = read_hands(spec)
+    if str(robot) not in robot_files():
+        return _build(spec)
+    try:
+        stamps = file_stamps(file, *hands.values())
+    except OSError:
+        # It says which file is missing.
+        return _build(spec)
+    kept = _named(file, stamps)
+    if (kept.spec, kept.hands) != (spec, hands):
+        # The description of a hand was changed.
+        return _build(spec)
+    # Callers may change descriptions and models.
+    own = [handed_out(hand, deepcopy(hand.spec)) for hand in kept.robot.parts]
+    return joined(spec.name, *own)
+
+
+class _Kept(NamedTuple):
+    """A robot that is kept for later, and the descriptions that it was built from."""
+
+    robot: Hand
+    spec: RobotSpec
+    hands: dict[Side, HandSpec]
+
+
+@lru_cache(maxsize=8)
+def _named(file: Path, stamps: Stamps) -> _Kept:
+    """Build a robot that has a name, as `library.load_hand` does; it takes 60 ms."""
+    spec = read_robot_spec(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _Kept(_build(spec), spec, read_hands(spec))
+
+
+def _build(robot: RobotSpec) -> Hand:
+    """Build a robot of its description."""
     specs = read_hands(robot)
     _check_roots(robot, [*specs.values()])
     trees: dict[Any, list[Side]] = {}

@@ -90,6 +90,7 @@ class LandmarkFitter:
             human_name(side), points="landmarks", lengths=lengths
         )
         self.palm = PalmShape(human)
+        self._tree = human.tree
         # Joints are in the order of `HUMAN_JOINTS`: by finger, from its base outwards.
         limits = *human.limits, human.rest
         self._lower, self._upper, self._rest = (q.reshape(_SHAPE) for q in limits)
@@ -145,9 +146,8 @@ class LandmarkFitter:
 
     def _nearest(self, start: Array, local: Array) -> _Fit:
         """Fit landmarks in wrist axes (21, 3) [m], from a posture (5, 4) [rad]."""
-        human = self.human
-        q = nearest_posture(human, local, _COSTS, _REST_WEIGHT, start.ravel())
-        errors = _COSTS[:, None] * (human.points(q) - local)
+        q = nearest_posture(self.human, local, _COSTS, _REST_WEIGHT, start.ravel())
+        errors = _COSTS[:, None] * (self._tree.points(q) - local)
         posture = q.reshape(_SHAPE)
         pull = _REST_WEIGHT * (posture - self._rest)
         residuals = np.hstack([errors[1:].reshape(len(FINGERS), -1), pull])

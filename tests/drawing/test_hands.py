@@ -24,6 +24,7 @@ from handmap_qp.apps.drawing.raster import (
     merged,
     render,
 )
+from handmap_qp.apps.drawing.shapes import read_shapes
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -196,6 +197,20 @@ def test_meshes_are_found_beside_the_urdf_scaled_and_outside_out(
     np.testing.assert_allclose(
         centroid(part), [0.11 + 0.02 + 0.01 * factor, 0.005, 0.0], atol=1e-7
     )
+
+
+def test_a_mesh_is_its_readers_own_and_read_again_when_it_changes(
+    tmp_path: Path,
+) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    hand = finger('<mesh filename="part.stl"/>', tmp_path)
+    for size in (0.01, 0.02):
+        trimesh.creation.box(extents=[size] * 3).export(tmp_path / "part.stl")
+        for _ in range(2):
+            ((meshes, _),) = read_shapes(hand, "visual")["distal"]
+            np.testing.assert_allclose(meshes[0].extents, size, rtol=1e-6)
+            # The reader's own: nobody else sees this.
+            meshes[0].vertices *= 3.0
 
 
 def test_a_fine_mesh_is_simplified(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ FLAGS = (
     "--remote-debugging-port=0",
 )
 
-FRAME = 0.25
+FRAME = 0.5
 """Time between two frames of a page [s].
 
 Software draws a frame of hands in tens of milliseconds on all cores, and a page asks for the next

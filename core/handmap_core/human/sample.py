@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from handmap_core.core import core
-from handmap_core.errors import expect
+from handmap_core.errors import InvalidInputError, expect
 from handmap_core.hands import FINGERS, Hand, Names, Point, Side
 from handmap_core.se3 import (
     Array,
@@ -180,13 +180,13 @@ class PalmShape:
         Raises:
             InvalidInputError: If the palm is less than half or more than twice as large.
         """
-        expect(
-            self.fits(landmarks),
-            "landmarks",
-            "metres and a palm as large as the hand's",
-            value=landmarks,
-            got=f"one {self.ratios(landmarks):.3g} times as large",
-        )
+        if not self.fits(landmarks):
+            raise InvalidInputError(
+                argument="landmarks",
+                expected="metres and a palm as large as the hand's",
+                value=landmarks,
+                got=f"one {self.ratios(landmarks):.3g} times as large",
+            )
 
 
 def finger_chains(landmarks: Array) -> Array:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.stats import rankdata
 from tyro.conf import Positional, arg
 
 from handmap_core.errors import HandmapError, InvalidInputError, expect
@@ -188,7 +187,9 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
 def _ranks(values: Array) -> Array:
     """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
     costs = np.array([[*map(Metric.cost, MEASURES, row)] for row in values])
-    better = rankdata(costs, method="min", axis=0, nan_policy="omit") - 1.0
+    # NaN is sorted to the end, behind all that there is.
+    better = [np.searchsorted(np.sort(column), column) for column in costs.T]
+    better = np.where(np.isnan(costs), np.nan, np.transpose(better))
     others = np.maximum(np.isfinite(values).sum(axis=0) - 1, 1)
     return np.nan_to_num(better / others)
 

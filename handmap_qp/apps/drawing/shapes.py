@@ -117,15 +117,15 @@ def _read_meshes(file: str) -> list[Any]:
         Exception: Of any type, if it cannot be read.
     """
     size = Path(file).stat()
-    if size.st_size > BIG_FILE:
-        meshes = _read_big(file, size.st_mtime_ns, size.st_size)
-        return [mesh.copy() for mesh in meshes]
-    return require("trimesh", "plot").load_scene(file).dump()
+    meshes = _read(file, size.st_mtime_ns, size.st_size)
+    return [mesh.copy() for mesh in meshes]
 
 
-# A big file is read several times: shown, measured, and compared with what collides.
+# A file is read several times: shown, measured, and compared with what collides.
 @lru_cache(maxsize=64)
-def _read_big(file: str, *_: int) -> list[Any]:
+def _read(file: str, _: int, size: int) -> list[Any]:
+    if size <= BIG_FILE:
+        return require("trimesh", "plot").load_scene(file).dump()
     if big := read_big_mesh(file):
         return [_meshed(big)]
     return [

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 
 import numpy as np
-from scipy.stats import binomtest
 
 from handmap_qp.apps.tables import Row
 from handmap_qp.mapping import surface
@@ -21,9 +21,13 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
     Returns:
         Rate, lower and upper end.
     """
-    found = binomtest(held, count)
-    interval = found.proportion_ci(method="wilson")
-    return found.statistic, interval.low, interval.high
+    rate = held / count
+    z = NormalDist().inv_cdf(0.975)
+    middle = rate + z**2 / (2.0 * count)
+    reach = z * math.sqrt((rate * (1.0 - rate) + z**2 / (4.0 * count)) / count)
+    low, high = ((middle + sign * reach) / (1.0 + z**2 / count) for sign in (-1, 1))
+    # Rounding must not leave these ends.
+    return rate, low if held else 0.0, high if held < count else 1.0
 
 
 def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
