@@ -44,6 +44,7 @@ from .configuration import PinocchioConfiguration
 from .fingers import (
     PARALLEL,
     Finger,
+    Flexion,
     PalmKinematics,
     Place,
     ends_of,
@@ -178,6 +179,7 @@ __all__ = [
     "ContactYield",
     "Document",
     "Finger",
+    "Flexion",
     "Hand",
     "HandSpec",
     "HeldReason",
