@@ -233,7 +233,7 @@ class Anatomy:
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
             radial = radial._replace(answer=outwards, confidence=0.2)
-        self._named, order = name_fingers(layout, radial, clue)
+        self._named, order = name_fingers(layout, radial, clue, sure)
         self.fingers = [parts.fingers[i] for i in self._named]
         self.distal = distal.answer
         self.dorsal = turned.answer
@@ -265,17 +265,16 @@ class Anatomy:
             sure: Confidence in their tips.
             is_along_arm: Whether to take the arm's.
         """
-        confidence = min(distal.confidence, sure)
         ahead = self._parts.ahead
         if is_along_arm:
-            self._values["straight fingers"] = -confidence
+            self._values["straight fingers"] = -sure
             self._values["arm"] = 1.0
             how = "the axis of the joint that turns the hand about its length"
             return Clue("distal", snapped(ahead), how, LIKELY)
         if ahead.any():
             angle = angle_between(ahead, distal.answer)
             self._values["arm"] = float(np.interp(angle, _OFF_THE_ARM, (1.0, -1.0)))
-        return distal._replace(confidence=confidence)
+        return distal._replace(confidence=min(distal.confidence, sure))
 
     def _weigh(self, dorsal: Clue, *, has_side: bool, sense: float) -> None:
         """Note what evidence says of the side, and of a palm that is turned over (sense -1)."""

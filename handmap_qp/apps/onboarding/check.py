@@ -296,9 +296,10 @@ def _check_followers(hand: Hand) -> Found:
 
 
 def check_held(hand: Hand) -> Iterator[HandFinding]:
-    """Find locked joints of fingers that an MJCF file couples to others, and say why they are held.
+    """Find locked joints that an MJCF file couples to others, and say why they are held.
 
-    Joints of bars, which carry no reference point, do not matter to the mapping.
+    A file that contradicts itself is wrong. Of others only those matter that move a reference
+    point: no line describes most bars of a linkage.
     """
     robot = parse_urdf(read_urdf(hand.spec))
     parents = {child: parent for _, parent, child in edges(robot)}
@@ -309,11 +310,13 @@ def check_held(hand: Hand) -> Iterator[HandFinding]:
     }
     locked = hand.spec.locked
     for joint, reason in held_joints(robot).items():
-        if joint in locked and joint in moves_point:
-            # A file that contradicts itself is wrong; a URDF cannot say all that others say.
-            level = warning if reason.kind == "limits" else advice
-            what = reason.held_at(locked[joint])
-            yield level(f"locked.{joint}", what, reason.next_step)
+        if joint not in locked:
+            continue
+        what = reason.held_at(locked[joint])
+        if reason.kind == "limits":
+            yield warning(f"locked.{joint}", what, reason.next_step)
+        elif joint in moves_point:
+            yield advice(f"locked.{joint}", what, reason.next_step)
 
 
 def _check_points(hand: Hand) -> Found:
