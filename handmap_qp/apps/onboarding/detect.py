@@ -44,9 +44,10 @@ from .structure import (
 from .two_hands import PairedSide, paired_sides
 from .vectors import UNKNOWN
 
-# Half open: this share of the way to the fist, and at most this much per joint [rad].
-_REST_SHARE = 0.4
-_REST_MOST = 0.75
+REST_SHARE = 0.4
+"""A finger rests at this share of the way from straight to its fist."""
+REST_MOST = 0.75
+"""At rest, no joint is flexed by more than this [rad]."""
 # A middle joint's point is its link's origin if that is this near to the finger's plane [m].
 _OFF_AXIS = 0.0015
 # A joint this near to the palm is one of its wrist [m].
@@ -339,7 +340,7 @@ def _rest(hand: Anatomy) -> Array:
     upper = robot.upper_limits
     zero = robot.rest
     travel = flexion.q_closed - flexion.q_open
-    step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
+    step = np.clip(REST_SHARE * travel, -REST_MOST, REST_MOST)
     step = np.where(flexion.slides, 0.5 * travel, step)
     of_thumb = np.delete(flexion.moves, hand.others, axis=0).any(axis=0)
     one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
@@ -361,7 +362,7 @@ def _rest(hand: Anatomy) -> Array:
     heights = (flexion.tips(q) - flexion.tips_open) @ hand.dorsal
     sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
     how = (
-        f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
+        f"{REST_SHARE:g} of the way from straight fingers to a fist, at most {REST_MOST} rad "
         "per joint; other joints near zero, or at mid-range on the thumb"
     )
     sure = min(sure, hand.sure["dorsal"])
