@@ -178,7 +178,13 @@ def _wrong_keys(
         return
     robot = Robot(result.converted or file)
     if held := find_held(one, robot, file):
-        yield WrongKey("chains", f"held: {', '.join(held)}")
+        doubted = {
+            finding.key.rpartition("locked.")[2]
+            for finding in findings
+            if finding.level in ("error", "warning") and "locked." in finding.key
+        }
+        is_said = doubted.issuperset(held)
+        yield WrongKey("chains", f"held: {', '.join(held)}", is_contradicted=is_said)
         return
     sides = {hand.side: hand for hand in one.hands}
     for found in result.hands:

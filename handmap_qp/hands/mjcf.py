@@ -29,7 +29,7 @@ from handmap_core.se3 import Array, affine, inverse_pose, rotation_from_quat_wxy
 from .mjcf_couplings import read_couplings
 from .mjcf_speeds import top_speeds
 from .sources import find_mesh, is_lfs_pointer, root_tag
-from .urdf import LOOP_END, USUAL_SPEEDS, add_mimic, set_numbers, set_origin
+from .urdf import LOOP_END, USUAL_SPEEDS, add_held, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -40,7 +40,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 9
+_CONVERSION = 10
 # In a file that this one names, the message has other words before these.
 _UNKNOWN = re.compile(
     r"XML Error: Schema violation: unrecognized attribute: '(\w+)'\s+"
@@ -440,6 +440,8 @@ class ConvertedMjcf:
         set_numbers(SubElement(element, "dynamics"), damping=damping, friction=friction)
         if rule and rule.joint:
             add_mimic(element, rule)
+        if reason := self._couplings.reasons.get(name):
+            add_held(element, reason)
 
     def _effort(self, joint: int) -> float:
         """Return the largest force or torque of a joint's actuators [N or N m]."""

@@ -31,6 +31,7 @@ from .follower_limits import (
     rule_within,
 )
 from .spec import MimicSpec, Rules
+from .urdf import HeldReason
 
 _DISABLE = mujoco.mjtDisableBit
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
@@ -60,6 +61,7 @@ class Couplings(NamedTuple):
         fits: How well each follower is fitted, of those that are not exact.
         held: What is held because no line describes it, by what leads.
         notes: Sentences on what a URDF cannot express exactly.
+        reasons: Why each joint is held, by its name; the URDF has them, so no note repeats them.
     """
 
     rules: dict[str, MimicSpec]
@@ -68,6 +70,7 @@ class Couplings(NamedTuple):
     fits: list[str]
     held: list[str]
     notes: list[str]
+    reasons: dict[str, HeldReason]
 
 
 def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> Couplings:
@@ -87,9 +90,10 @@ def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> Couplings
             if found is None:
                 omitted.update(constraints.drop(rows))
     solved = [*filter(None, solutions)]
-    found = Couplings({}, {}, constraints.bars(), [], [], [])
+    found = Couplings({}, {}, constraints.bars(), [], [], [], {})
     for each in solved:
         found.rules.update(each.rules)
+        found.reasons.update(each.reasons)
         found.ranges.update(each.ranges)
     notes = [*chain.from_iterable(each.notes for each in solved)]
     if fits := [*chain.from_iterable(each.fits for each in solved)]:
@@ -221,7 +225,7 @@ class _Constraints:
             name = self._names[joint]
             at = float(self._model.qpos0[self._model.jnt_qposadr[joint]])
             found.rules[name] = MimicSpec("", 0.0, at)
-            found.notes.append(f"{name} is held at {at:.4g}, because no motor moves it")
+            found.reasons[name] = HeldReason("motor", "no motor moves it")
         return found
 
     def _loop(self, joints: list[int], constraints: list[int]) -> ClosedLoop:
@@ -468,13 +472,17 @@ class _Fit:
         """Return rules, ranges and notes."""
         names = self._traits.names
         heads = [names[k] for k in self._leaders]
-        found = Couplings({}, {}, set(), [], [], [])
+        found = Couplings({}, {}, set(), [], [], [], {})
         ends = [Interval(*end) for end in self._reached.T.tolist()]
         clipped = self._clipped(ends)
         for k, line in self._lines.items():
             # Without freedom, nothing leads, and nothing moves.
             if not heads or k in self._held:
                 found.rules[names[k]] = MimicSpec("", 0.0, float(self._start[k]))
+                why = "its constraints leave it no motion"
+                if heads:
+                    why = f"no line describes how it follows {' and '.join(heads)}"
+                found.reasons[names[k]] = HeldReason("loop", why)
                 continue
             rule = MimicSpec(heads[line.leader], line.multiplier, line.offset)
             if k in clipped:
@@ -538,7 +546,7 @@ class _Fit:
             return
         at = own.clip(rule.multiplier * (leader.low + leader.high) / 2.0 + rule.offset)
         found.rules[name] = MimicSpec("", 0.0, at)
-        found.notes.append(f"{name} is held at {at:.4g}: {how}, is outside of {inside}")
+        found.reasons[name] = HeldReason("limits", f"{how}, is outside of {inside}")
 
     def _length(self, k: int, error: float) -> str:
         """Return a distance of a joint in words."""

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import lru_cache
 from itertools import chain
+from typing import Literal, NamedTuple, get_args
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 
@@ -34,6 +35,7 @@ manual of the 2F-140).
 """
 LOOP_END = "loop_end"
 """Element of a link that a constraint of an MJCF joins to another one: a bar, and no finger."""
+_HELD = "held"
 _FREE = ("planar", "floating")
 _KINDS = (*MOVABLE, "fixed", *_FREE)
 _DEFAULT_AXIS = "1 0 0"
@@ -50,6 +52,37 @@ _NUMBERS = {
 }
 _XACRO = "xacro:"
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
+
+
+HeldKind = Literal["limits", "loop", "motor"]
+"""What keeps a coupled joint from following: its own limits, a loop that is no line, no motor."""
+_NEXT_STEPS: dict[HeldKind, str] = {
+    "limits": "correct its range or the coupling in the MJCF file, and describe the hand again; "
+    "or couple it under `mimic` in place of `locked`, with its true `limits`",
+    "loop": "if one line is near enough, couple it under `mimic` in place of `locked`",
+    "motor": "if it follows another joint, couple it under `mimic` in place of `locked`",
+}
+
+
+class HeldReason(NamedTuple):
+    """Why a joint of an MJCF file does not move in the URDF, where its limits are equal.
+
+    Attributes:
+        kind: What keeps it from following.
+        text: The same with names and numbers, without a full stop.
+    """
+
+    kind: HeldKind
+    text: str
+
+    @property
+    def next_step(self) -> str:
+        """What its owner can do about it."""
+        return _NEXT_STEPS[self.kind]
+
+    def held_at(self, position: float) -> str:
+        """Return a sentence about a joint, which is its subject, at a position [rad or m]."""
+        return f"is held at {position:.4g}: {self.text}"
 
 
 def read_tree(spec: HandSpec | ArmSpec, text: str | bytes | None = None) -> Element:
@@ -214,6 +247,22 @@ def add_mimic(joint: Element, rule: MimicSpec) -> None:
     """Add a mimic rule to a joint."""
     element = SubElement(joint, "mimic", joint=rule.joint)
     set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
+
+
+def add_held(joint: Element, reason: HeldReason) -> None:
+    """Say in a joint why it is held, where `held_joints` reads it."""
+    SubElement(joint, _HELD, kind=reason.kind, why=reason.text)
+
+
+def held_joints(robot: Element) -> dict[str, HeldReason]:
+    """Return why joints are held that an MJCF file couples to others, by their names."""
+    found = dict[str, HeldReason]()
+    for joint in robot.iterfind(f"joint[{_HELD}]"):
+        held = child_of(joint, _HELD)
+        for kind in get_args(HeldKind):
+            if held.get("kind") == kind:
+                found[joint.get("name", "")] = HeldReason(kind, held.get("why", ""))
+    return found
 
 
 # -- the tree of links and joints

@@ -12,7 +12,10 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
+from made_loops import FINGERS as FINGERS_OF_LOOPS
+from made_loops import tendons
 
+from handmap_qp.apps.onboarding.findings import HandReport
 from handmap_qp.apps.onboarding.init import DescribedHand, init_hands
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandmapError
@@ -203,6 +206,25 @@ def test_a_wrong_list_is_refused(
     file.write_text(f"packages: {{}}\ndescriptions:\n{text}")
     with pytest.raises(HandmapError, match=problem):
         listing.read_list(file)
+
+
+def test_held_joints_of_a_finger_mislead_only_if_check_is_silent(
+    listing: Any, verdicts: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("mujoco", reason="mujoco is not installed")
+    file = tmp_path / "held.xml"
+    file.write_text(tendons(offset=2.5), encoding="utf-8")
+    joints = {finger: f"{finger}_distal" for finger in FINGERS_OF_LOOPS}
+    truth = listing.TrueHand("palm", (0.0, 0.0, 1.0), fingers=joints)
+    one = listing.Stranger("held", "m", "held.xml", hands=(truth,))
+    verdict = verdicts.judge(one, file)
+    (wrong,) = verdict.wrong
+    assert wrong.what.startswith("held: ")
+    assert wrong.is_contradicted
+    assert not verdict.is_misleading
+    report = HandReport("")
+    monkeypatch.setattr(verdicts, "check_hand", lambda *_, **__: report)
+    assert verdicts.judge(one, file).is_misleading
 
 
 def test_without_files_one_line_says_how_to_get_them(

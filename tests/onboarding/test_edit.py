@@ -259,7 +259,8 @@ def test_a_urdf_is_described_and_saved_as_init_writes_it(
     HandsInit(urdf, out=tmp_path / "init.yaml").run()
     given = []
 
-    def save(_: Any, found: Detection, out: Path) -> Any:
+    def save(_: Any, found: Detection, out: Path, remark: str) -> Any:
+        assert not remark
         write_hand(found, out)
         given.append(out)
         return types.SimpleNamespace(tick=None)

@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from box_hands import NAMES, BoxHand, pair_against_one
+from box_hands import NAMES, BoxHand, pair_against_one, slides_without_shapes
 
+from handmap_core.se3 import Array
 from handmap_qp.apps.onboarding.anatomy import Anatomy, find_anatomy
 from handmap_qp.apps.onboarding.detect import detect
-from handmap_qp.apps.onboarding.hypotheses import TERMS, Hypothesis, score
+from handmap_qp.apps.onboarding.hypotheses import LIKELY, TERMS, Hypothesis, score
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.onboarding.single_joints import FingerKind
 from handmap_qp.apps.onboarding.structure import find_structure
 from handmap_qp.apps.onboarding.two_hands import PairedSide
+from handmap_qp.apps.onboarding.vectors import UNKNOWN
 from handmap_qp.hands import Side
 
 PLAIN = tuple("abcde")
@@ -29,9 +31,11 @@ def _anatomy(hand: BoxHand, paired: PairedSide | None = None) -> Anatomy:
     return _anatomy_of(hand.urdf(), paired)
 
 
-def _anatomy_of(text: str, paired: PairedSide | None = None) -> Anatomy:
+def _anatomy_of(
+    text: str, paired: PairedSide | None = None, ahead: Array = UNKNOWN
+) -> Anatomy:
     robot = Robot(Path("x"), text)
-    return find_anatomy(robot, find_structure(robot), paired=paired)
+    return find_anatomy(robot, find_structure(robot), paired=paired, ahead=ahead)
 
 
 def _leader(anatomy: Anatomy, without: str = "") -> tuple[Hypothesis, float]:
@@ -91,6 +95,43 @@ def test_fingers_with_one_joint_need_each_kind_of_evidence(name: str) -> None:
     assert less.kind not in (None, kind)
 
 
+# Hands on an arm, the direction in which that points, and whether they point there, too.
+X, Y, Z = np.eye(3)
+ON_ARMS: dict[str, tuple[str, Array, bool]] = {
+    # Slides without shapes, whose tips are guessed from where they begin.
+    "arm": (slides_without_shapes(), Z, True),
+    # A hand on a bent mount, whose fingers tell their direction.
+    "straight fingers": (HAND.urdf(), Y, False),
+}
+
+
+@pytest.mark.parametrize("name", ON_ARMS)
+def test_the_direction_of_a_hand_needs_each_kind_of_evidence(name: str) -> None:
+    text, ahead, is_along_arm = ON_ARMS[name]
+    anatomy = _anatomy_of(text, ahead=ahead)
+    best, _ = _leader(anatomy)
+    less, _ = _leader(anatomy, without=name)
+    assert best.is_along_arm == is_along_arm
+    assert less.is_along_arm != is_along_arm
+    # It is what is found.
+    np.testing.assert_allclose(anatomy.distal, ahead if is_along_arm else X, atol=1e-9)
+
+
+def test_an_arm_along_the_fingers_changes_nothing() -> None:
+    plain, on_arm = (_anatomy_of(HAND.urdf(), ahead=ahead) for ahead in (UNKNOWN, X))
+    assert not on_arm.hypothesis.is_along_arm
+    assert on_arm.hypothesis.options == plain.hypothesis.options
+    assert on_arm.clues == plain.clues
+    assert on_arm.notes == plain.notes
+
+
+def test_a_direction_by_the_arm_is_not_certain() -> None:
+    anatomy = _anatomy_of(slides_without_shapes(), ahead=Z)
+    assert anatomy.sure["distal"] == pytest.approx(LIKELY)
+    # The tips stay guesses, and so does what depends on them.
+    assert anatomy.sure["dorsal"] < 0.6
+
+
 def test_fingers_that_curl_are_of_one_kind() -> None:
     assert {one.kind for one in _anatomy(HAND).ranking} == {None}
 
@@ -145,7 +186,7 @@ def test_a_thumb_before_the_palm_outweighs_a_wrong_side_in_the_names() -> None:
 
 
 def test_each_kind_of_evidence_has_a_hand() -> None:
-    assert {term.name for term in TERMS} == {*NEEDED, "thumb ahead", *KINDS}
+    assert {term.name for term in TERMS} == {*NEEDED, "thumb ahead", *KINDS, *ON_ARMS}
 
 
 def test_names_of_the_others_overrule_the_order_of_the_file() -> None:

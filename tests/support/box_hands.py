@@ -117,3 +117,31 @@ def pair_against_one(
             f'<limit lower="{span[0]}" upper="{span[1]}" effort="1" velocity="2"/></joint>'
         )
     return f'<robot name="x">{parts}</robot>'
+
+
+def slides_without_shapes(
+    turn: np.ndarray = _AXES, arm: str = "", base: str = "base"
+) -> str:
+    """Return a URDF of two jaws on slides along y, `ja` and `jb`, whose meshes are not there.
+
+    They begin beside the palm's z axis, which is ahead: their places do not tell it.
+
+    Args:
+        turn: Rotation of all frames, shape (3, 3).
+        arm: Links and joints that carry the palm, in place of none.
+        base: The palm's link.
+    """
+
+    def turned(*values: float) -> str:
+        return " ".join(f"{value:g}" for value in turn @ np.array(values) + 0.0)
+
+    parts = arm or f'<link name="{base}"/>'
+    for name, sign in (("a", 1.0), ("b", -1.0)):
+        parts += (
+            f'<link name="{name}"><visual><geometry><mesh filename="lost_{name}.stl"/></geometry>'
+            f'</visual></link><joint name="j{name}" type="prismatic"><parent link="{base}"/>'
+            f'<child link="{name}"/><origin xyz="{turned(-0.02, sign * 0.01, 0.03)}"/>'
+            f'<axis xyz="{turned(0.0, -sign, 0.0)}"/>'
+            '<limit lower="-0.04" upper="0" effort="1" velocity="1"/></joint>'
+        )
+    return f'<robot name="x">{parts}</robot>'

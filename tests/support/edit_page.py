@@ -115,6 +115,9 @@ class Clicks:
 
     def choose(self, label: str, entry: str) -> None:
         """Choose an entry of the list with a label."""
+        if label in ("root", "palm"):
+            # A user opens their folder first; a script reaches into it.
+            self.add_clicks(1)
         self.page.choose_in(label, entry)
 
     def drag_rings(self, axes: np.ndarray) -> None:

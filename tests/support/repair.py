@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, get_args
 
@@ -26,6 +26,8 @@ _LABELS = {
     "root": "Find the hand from this root",
     "side": "Left / right",
     "rest": "Rest as shown",
+    "bend": "Bend the other way",
+    "palm": "Fix the palm to this link",
 }
 
 
@@ -103,7 +105,12 @@ class Requests:
     def choose(self, label: str, entry: str) -> None:
         """Choose an entry of the list with a label: one click opens it, one chooses."""
         editor = self.editor
-        lists = {**editor.names, "root": editor.root, "palm": editor.palm}
+        lists = {
+            **editor.names,
+            "root": editor.root,
+            "palm": editor.palm,
+            "bend": editor.bent,
+        }
         assert entry in lists[label].options
         lists[label].value = entry
         self.clicks += 2
@@ -133,6 +140,31 @@ def repair(
     side = truth().side
     if side and spec().side != side:
         operator.press("side")
+
+
+def fix_palm_link(operator: Operator, spec: HandSpec, link: str) -> None:
+    """Fix the palm to another link."""
+    if spec.palm.link != link:
+        operator.choose("palm", link)
+        operator.press("palm")
+
+
+def fix_bends(
+    operator: Operator, fingers: Collection[str], bent: Collection[str]
+) -> None:
+    """Bend fingers the other way: all at once, or one after another.
+
+    Args:
+        operator: What presses the buttons.
+        fingers: All fingers.
+        bent: Those that rest bent to the wrong side.
+    """
+    if bent and {*bent} == {*fingers}:
+        operator.press("bend")
+        return
+    for finger in bent:
+        operator.choose("bend", finger)
+        operator.press("bend")
 
 
 def fix_names(

@@ -24,10 +24,12 @@ from .single_joints import FingerKind, find_single_joints
 from .structure import Clue, RobotFinger, Structure
 from .thumbs import find_thumb
 from .two_hands import PairedSide
-from .vectors import shown
+from .vectors import UNKNOWN, angle_between, shown, snapped
 
 # Ranges that show flexion less than clearly count this share of it.
 _VAGUE = 0.4
+# The fingers are along the arm up to the first angle, and not from the second one on [deg].
+_OFF_THE_ARM = (5.0, 25.0)
 # A thumb that closes this far before the palm is clearly there, in lengths of the fingers.
 _HIGH = 0.3
 
@@ -47,6 +49,7 @@ class Parts(NamedTuple):
         kind: What fingers with one flexing joint are; None if there are none.
         straight: Confidence in these that zero is straight, 0 of jaws, shape (F,).
         values: Evidence for that kind.
+        ahead: Direction in which the arm points, zero if unknown, shape (3,).
     """
 
     robot: Robot
@@ -60,6 +63,7 @@ class Parts(NamedTuple):
     kind: FingerKind | None
     straight: Array
     values: Mapping[str, float]
+    ahead: Array
 
 
 def find_anatomy(
@@ -69,6 +73,7 @@ def find_anatomy(
     thumb: str | None = None,
     paired: PairedSide | None = None,
     kind: FingerKind | None = None,
+    ahead: Array = UNKNOWN,
 ) -> "Anatomy":
     """Return what a hand most likely is, of all that it may be.
 
@@ -79,29 +84,45 @@ def find_anatomy(
         thumb: A link or joint of the thumb, if known.
         paired: The side by the other hand of a robot, if there is one.
         kind: What fingers with one flexing joint each are, if known.
+        ahead: Direction in which the arm points in the palm link's coordinates, as of
+            `arm_direction`, shape (3,); zero if unknown.
 
     Raises:
         HandError: If no finger has that link or joint.
     """
-    readings = _readings(robot, structure, kind)
+    readings = _readings(robot, structure, kind, ahead)
     given = None if thumb is None else _given_thumb(readings[0], thumb)
     first, *others = (Anatomy(parts, side, paired, given) for parts in readings)
     count = len(structure.fingers)
     thumbs = [given] if given is not None else range(count * (count > 2))
     ways = (None,) if side or (paired and paired.is_forced) else (False, True)
+    assumed = [(i, is_turned) for i in thumbs for is_turned in ways]
     others += [
         Anatomy(parts, side, paired, given, assumed=i, is_turned=is_turned)
         for parts in readings
-        for i in thumbs
-        for is_turned in ways
+        for i, is_turned in assumed
     ]
+    if ahead.any():
+        others += [
+            Anatomy(
+                parts,
+                side,
+                paired,
+                given,
+                assumed=i,
+                is_turned=is_turned,
+                is_along_arm=True,
+            )
+            for parts in readings
+            for i, is_turned in [(None, None), *assumed]
+        ]
     best = choose(first, others)
     best.settle()
     return best
 
 
 def _readings(
-    robot: Robot, structure: Structure, given: FingerKind | None
+    robot: Robot, structure: Structure, given: FingerKind | None, ahead: Array
 ) -> list[Parts]:
     """Return what a hand consists of, once for each kind that its fingers may be.
 
@@ -130,6 +151,7 @@ def _readings(
             kind,
             straight,
             values,
+            ahead,
         )
 
     if not single.is_ambiguous:
@@ -149,6 +171,7 @@ class Anatomy:
         assumed: Index of the thumb that this hypothesis assumes; that which differs if omitted.
         is_turned: Whether the palm is turned over against the flexion that was found; by the side
             in the names if omitted.
+        is_along_arm: Whether the hand points where the arm does, and not where its fingers do.
 
     Attributes:
         robot: The robot.
@@ -175,6 +198,7 @@ class Anatomy:
         *,
         assumed: int | None = None,
         is_turned: bool | None = None,
+        is_along_arm: bool = False,
     ) -> None:
         self._parts = parts
         self.robot = parts.robot
@@ -193,7 +217,10 @@ class Anatomy:
             clue = Clue("thumb", parts.names[thumb][-1], "as given", 1.0)
         self._layout = layout = lay_out(flexion, labels, found_thumb, parts.surface)
         self.others = layout.others
+        # No direction of fingers is surer than the fingertips.
+        sure = float(np.median([finger.end.confidence for finger in parts.fingers]))
         distal = find_distal(layout)
+        distal = self._weigh_arm(distal, sure, is_along_arm=is_along_arm)
         dorsal = find_dorsal(layout, distal)
         across = np.cross(distal.answer, dorsal.answer)
         radial = find_radial(layout, across, self._values)
@@ -206,25 +233,48 @@ class Anatomy:
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
             radial = radial._replace(answer=outwards, confidence=0.2)
-        self._named, order = name_fingers(layout, radial, clue)
+        self._named, order = name_fingers(layout, radial, clue, sure)
         self.fingers = [parts.fingers[i] for i in self._named]
         self.distal = distal.answer
         self.dorsal = turned.answer
-        # No direction is surer than the fingertips.
-        sure = float(np.median([finger.end.confidence for finger in parts.fingers]))
         directions = [
-            each._replace(
-                answer=shown(each.answer), confidence=min(each.confidence, sure)
-            )
-            for each in (distal, turned)
+            distal._replace(answer=shown(distal.answer)),
+            turned._replace(
+                answer=shown(turned.answer), confidence=min(turned.confidence, sure)
+            ),
         ]
         self.clues = [parts.palm, clue, *directions, found, order]
         is_over = bool(turned.answer @ dorsal.answer < 0.0)
         has_side = radial.confidence > 0.2
         self._weigh(dorsal, has_side=has_side, sense=-1.0 if is_over else 1.0)
         self.hypothesis = Hypothesis(
-            found_thumb, clue.answer, self.side, is_over, self._values, parts.kind
+            found_thumb,
+            clue.answer,
+            self.side,
+            is_over,
+            self._values,
+            parts.kind,
+            is_along_arm,
         )
+
+    def _weigh_arm(self, distal: Clue, sure: float, *, is_along_arm: bool) -> Clue:
+        """Note what the arm says of the direction of the fingers, and return the one to take.
+
+        Args:
+            distal: The direction of the fingers.
+            sure: Confidence in their tips.
+            is_along_arm: Whether to take the arm's.
+        """
+        ahead = self._parts.ahead
+        if is_along_arm:
+            self._values["straight fingers"] = -sure
+            self._values["arm"] = 1.0
+            how = "the axis of the joint that turns the hand about its length"
+            return Clue("distal", snapped(ahead), how, LIKELY)
+        if ahead.any():
+            angle = angle_between(ahead, distal.answer)
+            self._values["arm"] = float(np.interp(angle, _OFF_THE_ARM, (1.0, -1.0)))
+        return distal._replace(confidence=min(distal.confidence, sure))
 
     def _weigh(self, dorsal: Clue, *, has_side: bool, sense: float) -> None:
         """Note what evidence says of the side, and of a palm that is turned over (sense -1)."""
@@ -299,7 +349,7 @@ def choose(first: Anatomy, others: Sequence[Anatomy]) -> Anatomy:
             best.told(what, why, LIKELY)
     mine = best.hypothesis
     best.ranking = tuple(ranking)
-    following = next((one for one in ranking if mine.differences(one)), None)
+    following = next((one for one in ranking if one.options != mine.options), None)
     if following and (note := mine.doubt(following)):
         best.runner_up = following
         best.notes.append(note)

@@ -23,7 +23,9 @@ from handmap_qp.hands import (
     Names,
     PalmKinematics,
     are_prismatic,
+    edges,
     find_fingers,
+    held_joints,
     is_lost,
     is_missing,
     load_hand,
@@ -33,6 +35,7 @@ from handmap_qp.hands import (
     partner_names,
     place_of,
     read_collision_shapes,
+    read_urdf,
     urdf_path,
 )
 from handmap_qp.mapping import distance
@@ -54,7 +57,7 @@ from .measure import (
     check_size,
     palm_rows,
 )
-from .robot import Robot
+from .robot import Robot, carriers
 from .speeds import maker_speed
 from .structure import Clue
 from .vectors import angle_between
@@ -292,6 +295,30 @@ def _check_followers(hand: Hand) -> Found:
     yield fine("mimic", f"{followers} joints follow others{within}")
 
 
+def check_held(hand: Hand) -> Iterator[HandFinding]:
+    """Find locked joints that an MJCF file couples to others, and say why they are held.
+
+    A file that contradicts itself is wrong. Of others only those matter that move a reference
+    point: no line describes most bars of a linkage.
+    """
+    robot = parse_urdf(read_urdf(hand.spec))
+    parents = {child: parent for _, parent, child in edges(robot)}
+    ways = (carriers(parents, point.link) for point in hand.spec.points)
+    links = {link for way in ways for link in way}
+    moves_point = {
+        joint.get("name") for joint, _, child in edges(robot) if child in links
+    }
+    locked = hand.spec.locked
+    for joint, reason in held_joints(robot).items():
+        if joint not in locked:
+            continue
+        what = reason.held_at(locked[joint])
+        if reason.kind == "limits":
+            yield warning(f"locked.{joint}", what, reason.next_step)
+        elif joint in moves_point:
+            yield advice(f"locked.{joint}", what, reason.next_step)
+
+
 def _check_points(hand: Hand) -> Found:
     """Check partners, places and weights of the reference points."""
     points = hand.points(hand.rest)
@@ -492,6 +519,7 @@ _CHECKS = (
     _check_limits,
     check_speeds,
     _check_followers,
+    check_held,
     _check_points,
     check_places,
     _check_tips,

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handmap_core.errors import HandError
 from handmap_core.se3 import Array, lengths
 from handmap_qp.hands import (
     FINGERS,
@@ -28,15 +29,25 @@ from handmap_qp.hands import (
     ball_in,
 )
 from .anatomy import Anatomy, find_anatomy
+from .arm_directions import arm_direction
 from .hypotheses import Hypothesis
 from .robot import Robot
 from .single_joints import FingerKind
-from .structure import Clue, RobotFinger, find_palms, find_structure, passed_over
+from .structure import (
+    Clue,
+    RobotFinger,
+    Structure,
+    find_palms,
+    find_structure,
+    passed_over,
+)
 from .two_hands import PairedSide, paired_sides
+from .vectors import UNKNOWN
 
-# Half open: this share of the way to the fist, and at most this much per joint [rad].
-_REST_SHARE = 0.4
-_REST_MOST = 0.75
+REST_SHARE = 0.4
+"""A finger rests at this share of the way from straight to its fist."""
+REST_MOST = 0.75
+"""At rest, no joint is flexed by more than this [rad]."""
 # A middle joint's point is its link's origin if that is this near to the finger's plane [m].
 _OFF_AXIS = 0.0015
 # A joint this near to the palm is one of its wrist [m].
@@ -132,7 +143,13 @@ def _detect_two(
     def found(k: int, is_forced: bool = False) -> Detection:
         side = pair[k]._replace(is_forced=is_forced) if pair else None
         return _detect(
-            robot.file, None, palms[k], shared, paired=side, may_be_rigid=True
+            robot.file,
+            None,
+            palms[k],
+            shared,
+            paired=side,
+            may_be_rigid=True,
+            whole=robot,
         )
 
     hands = [found(0), found(1)]
@@ -191,6 +208,7 @@ def _detect(
     paired: PairedSide | None = None,
     may_be_rigid: bool = False,
     kind: FingerKind | None = None,
+    whole: Robot | None = None,
 ) -> Detection:
     """Find a hand as `detect` does, or one of two hands.
 
@@ -205,10 +223,12 @@ def _detect(
         paired: The side by the other hand.
         may_be_rigid: Whether the hand may hang from the base without a joint.
         kind: As in `detect`.
+        whole: The robot from its root on, if it is loaded.
     """
     robot = Robot(urdf, text, root=root)
     structure = find_structure(robot)
     palm = robot.palm_frame.name
+    ahead = _arm_ahead(robot, whole, structure)
     joints, above = left_out_wrist(robot, palm)
     notes = passed_over(robot)
     if root is None and palm != robot.root:
@@ -217,7 +237,7 @@ def _detect(
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes.append(f"{what}; keep them with --base {above}")
-    hand = find_anatomy(robot, structure, side, thumb, paired, kind)
+    hand = find_anatomy(robot, structure, side, thumb, paired, kind, ahead)
     part = robot if base is None else Robot(urdf, text, root=base)
     spec = _describe(hand, name, part, may_be_rigid=may_be_rigid)
     notes += [*hand.notes, *robot.remarks]
@@ -239,6 +259,25 @@ def _detect(
         hand.runner_up,
         kind=hand.hypothesis.kind,
     )
+
+
+def _arm_ahead(robot: Robot, whole: Robot | None, structure: Structure) -> Array:
+    """Return the direction in which the arm points, as `arm_direction` does.
+
+    Args:
+        robot: The robot, or the part of it that was chosen.
+        whole: The robot from its root on; the file's if omitted.
+        structure: The palm and the fingers.
+    """
+    palm = robot.palm_frame.name
+    links = [finger.links[0] for finger in structure.fingers if finger.joints]
+    if robot.is_whole:
+        return arm_direction(robot, palm, links)
+    try:
+        return arm_direction(whole or Robot(robot.file), palm, links)
+    except HandError:
+        # The rest of the file may be no robot.
+        return UNKNOWN
 
 
 def _describe(
@@ -301,7 +340,7 @@ def _rest(hand: Anatomy) -> Array:
     upper = robot.upper_limits
     zero = robot.rest
     travel = flexion.q_closed - flexion.q_open
-    step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
+    step = np.clip(REST_SHARE * travel, -REST_MOST, REST_MOST)
     step = np.where(flexion.slides, 0.5 * travel, step)
     of_thumb = np.delete(flexion.moves, hand.others, axis=0).any(axis=0)
     one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
@@ -323,7 +362,7 @@ def _rest(hand: Anatomy) -> Array:
     heights = (flexion.tips(q) - flexion.tips_open) @ hand.dorsal
     sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
     how = (
-        f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
+        f"{REST_SHARE:g} of the way from straight fingers to a fist, at most {REST_MOST} rad "
         "per joint; other joints near zero, or at mid-range on the thumb"
     )
     sure = min(sure, hand.sure["dorsal"])

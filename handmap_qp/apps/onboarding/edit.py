@@ -1,5 +1,6 @@
 """Corrections of a hand's description: each takes a hand, and returns its new description."""
 
+from collections.abc import Collection
 from contextlib import suppress
 from itertools import chain
 from operator import attrgetter
@@ -16,6 +17,7 @@ from handmap_qp.hands import (
     THUMB,
     Hand,
     HandSpec,
+    ends_of,
     find_fingers,
     finger_tips,
     load_hand,
@@ -23,14 +25,14 @@ from handmap_qp.hands import (
 )
 from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import colliding_links, with_collision_pairs
-from .detect import Detection, detect
+from .detect import REST_MOST, REST_SHARE, Detection, detect
 from .findings import HandReport, warning
 from .measure import check_fist
 from .speeds import with_origin
 from .write import FOUND, RobotSource
 
 
-def open_description(hand: str | Path) -> Detection:
+def open_description(hand: str | Path | HandSpec) -> Detection:
     """Load a description, and detect the same hand for its evidence; errors as in `load_hand`."""
     built = load_hand(hand)
     spec = built.spec
@@ -128,6 +130,36 @@ def with_rest(hand: Hand, q: Array) -> HandSpec:
     # Joints of an arm come first.
     inside = np.clip(q.round(4) + 0.0, *hand.limits)[-len(joints) :]
     return replace(hand.spec, rest=dict(zip(joints, inside, strict=True)))
+
+
+def with_bend_reversed(hand: Hand, names: Collection[str]) -> HandSpec:
+    """Return a hand whose fingers rest half bent to the other side.
+
+    Straight fingers bend to the side to which they close. Jaws, which do not curl, rest as far from
+    the other end of their range.
+
+    Args:
+        hand: The hand.
+        names: The fingers; a joint that moves several of them is turned once.
+    """
+    fingers = find_fingers(hand)
+    q = hand.rest.copy()
+    left = ~hand.moves_wrist
+    for finger in (fingers[name] for name in names if name in fingers):
+        flexion = finger.flexion
+        if flexion and flexion.curls:
+            turned = left & (flexion.signs != 0.0)
+            side = np.sign(flexion.signs @ (hand.rest - flexion.straight))
+            senses = -side * flexion.signs if side else finger.closing
+            _, ends = ends_of(hand, flexion.straight, senses)
+            step = REST_SHARE * (ends - flexion.straight)
+            there = flexion.straight + np.clip(step, -REST_MOST, REST_MOST)
+        else:
+            turned = left & finger.moves
+            there = hand.limits.sum(axis=0) - hand.rest
+        q = np.where(turned, there, q)
+        left &= ~turned
+    return with_rest(hand, q)
 
 
 def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:

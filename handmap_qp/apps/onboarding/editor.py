@@ -48,6 +48,7 @@ from .hand_choice import (
     with_thumb,
 )
 from .label_places import spread_labels
+from .palm_repairs import loadable
 from .palm_turns import (
     Held,
     Turn,
@@ -68,6 +69,8 @@ _RINGS = 0.9
 _LABEL = (0.5, 0.14)
 # In the list of a finger's names: it is left out.
 _NONE = "none"
+# In the list of fingers to bend.
+_ALL = "all fingers"
 # Turns of the palm by the names of their buttons; a quarter turn's axis is given.
 _TURNS: dict[str, Turn] = {"turn": "dorsal", "distal": "distal", "quarter": "x"}
 # Step of the joints [rad or m].
@@ -79,14 +82,13 @@ class HandsEdit:
     """Correct a hand's description in the browser: palm, side, fingers, tips and rest posture.
 
     Shows the hand, and gestures of the package's recording as they are mapped to it, with scores.
-    Turn the palm's axes, name the fingers or leave some out, drag tips, move the joints to where
-    the hand rests. What you give is held, and the rest is found again: the side follows the turned
-    axes, the axes follow another thumb. Where another thumb, side or palm has nearly as much
-    evidence, or it is uncertain to which side a fist closes, choose one of two pictures. Of fingers
-    with one joint each, say whether they are jaws. Save
-    writes the hand.yaml, with comments. The hand of a URDF or MJCF file is described first, as by
-    `handmap hands init`; of several hands the first one, and the pictures or a list of roots lead
-    to the others.
+    Turn the palm's axes, name the fingers or leave some out, bend them the other way, drag tips,
+    move the joints to where the hand rests. What you give is held, and the rest is found again: the
+    side follows the turned axes, the axes follow another thumb. Where another thumb, side or palm
+    has nearly as much evidence, or it is uncertain to which side a fist closes, choose one of two
+    pictures. Of fingers with one joint each, say whether they are jaws. Save writes the hand.yaml,
+    with comments. The hand of a URDF or MJCF file is described first, as by `handmap hands init`;
+    of several hands the first one, and the pictures or a list of roots lead to the others.
 
     Examples:
         handmap hands edit my_hand/hand.yaml --open
@@ -119,13 +121,15 @@ class HandsEdit:
         out = self.out or given.with_suffix(".yaml")
         check_free(out, overwrite=self.overwrite or out == given)
         kind = given.suffix.lower()
+        remark = ""
         if kind in ROBOT_FILES or (given.is_file() and kind not in (".yaml", ".yml")):
             source = open_source(given)
             found = edit.described(first_hand(source.urdf), source)
         else:
-            found = edit.open_description(given)
+            opened, remark = loadable(given)
+            found = edit.open_description(opened)
         with showing(self.host, self.port, opens=self.open) as server:
-            run_frames(HandEditor(server, found, out).tick)
+            run_frames(HandEditor(server, found, out, remark).tick)
 
 
 class _Page(NamedTuple):
@@ -147,11 +151,15 @@ class _Page(NamedTuple):
 class HandEditor:
     """The page of a description, `found`, which Save writes to the file `out`.
 
+    It begins with a `remark` on what was wrong in the file, if anything was.
+
     viser calls callbacks in threads of its own: they record what `tick` carries out, or ask first.
     Mapping, and finding a hand from another root, are done in the background meanwhile.
     """
 
-    def __init__(self, server: ViserServer, found: Detection, out: Path) -> None:
+    def __init__(
+        self, server: ViserServer, found: Detection, out: Path, remark: str = ""
+    ) -> None:
         self.out = out
         self._server = server
         self._gui = server.gui
@@ -166,6 +174,7 @@ class HandEditor:
         server.gui.reset()
         self._add_controls()
         self._build()
+        say(self.message, remark)
 
     # -- the page
 
@@ -187,6 +196,8 @@ class HandEditor:
         self._fingers = gui.add_folder("fingers")
         with self._fingers:
             (self._naming,) = add_controls(gui, "naming", self._press)
+            self.bent = gui.add_dropdown("bend", [_ALL])
+            add_controls(gui, "bending", self._press)
         with gui.add_folder("root and palm", expand_by_default=False):
             self.palm = gui.add_dropdown("palm", [self.found.spec.palm.link])
             self.root = gui.add_dropdown("root", self._roots)
@@ -235,6 +246,14 @@ class HandEditor:
             box.order = self._naming.order - 1.0 + len(boxes) / len(links)
             boxes[link] = box
         self.names = boxes
+        self._list_bent()
+
+    def _list_bent(self) -> None:
+        """Offer the fingers that there are now to be bent the other way."""
+        options = [_ALL, *finger_tips(self.hand)]
+        if [*self.bent.options] != options:
+            self.bent.options = options
+            self.bent.value = _ALL
 
     def _add_sliders(self) -> None:
         """Add a slider for each joint, in the place of those of another hand."""
@@ -380,6 +399,10 @@ class HandEditor:
                 return edit.with_other_side(hand)
             case "rest":
                 return edit.with_rest(hand, self._q)
+            case "bend":
+                chosen = self.bent.value
+                names = [*finger_tips(hand)] if chosen == _ALL else [chosen]
+                return edit.with_bend_reversed(hand, names)
             case "names":
                 return self._with_names(
                     {link: _given(box.value) for link, box in self.names.items()}
@@ -476,6 +499,7 @@ class HandEditor:
             if link in self._labels:
                 self._labels[link].text = name
         self._named = named
+        self._list_bent()
         # Joints that were moved stay, unless the hand rests elsewhere now.
         if not np.array_equal(self._rest, self.hand.rest):
             self._rest = self.hand.rest

@@ -16,7 +16,7 @@ NARROW = 0.004
 
 
 def name_fingers(
-    layout: Layout, radial: Clue, thumb: Clue
+    layout: Layout, radial: Clue, thumb: Clue, tips: float
 ) -> tuple[dict[int, str], Clue]:
     """Name the fingers by their order across the palm, or by their own names.
 
@@ -24,6 +24,7 @@ def name_fingers(
         layout: The fingers about the thumb.
         radial: Direction across the palm to the thumb.
         thumb: Evidence for the thumb.
+        tips: Confidence in the fingertips, which their order across the palm depends on.
     """
     flexion = layout.flexion
     labels = layout.labels
@@ -33,7 +34,7 @@ def name_fingers(
     order = sorted(layout.others, key=lambda i: -places[i])
     apart = -np.diff(places[order]).max(initial=-np.inf)
     how = "ordered by position across the palm, from the thumb's side"
-    confidence = min(radial.confidence, CERTAIN if apart > NARROW else 0.4, sure)
+    confidence = min(radial.confidence, CERTAIN if apart > NARROW else 0.4, sure, tips)
     if len(order) < 2:
         # Nothing is left to choose but the thumb.
         confidence = max(confidence, min(0.9, sure))

@@ -1,7 +1,8 @@
 """How the fingers of a hand flex together: open and closed posture, and fingertip motion.
 
 Each finger by itself is analysed by `handmap_qp.hands.fingers`. Here, fingers that curl equally far
-both ways follow the others, and base joints flex if they move the tip in the same direction.
+both ways follow the others, and base joints flex if they move the tip in the same direction. A
+finger whose range says nothing flexes as its copy does, if it has one (`copies`).
 
 A finger with a single flexing joint has the same length everywhere, so it shows no curling. What it
 is, a finger that is straight at zero or a jaw that flexes towards the other tips, is found by
@@ -21,6 +22,7 @@ from handmap_qp.hands import (
     ends_of,
     nearing,
 )
+from .copies import find_copies
 from .vectors import UNKNOWN
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
@@ -89,6 +91,7 @@ class HandFlexion:
         senses = np.zeros(len(fingers))
         unfolded = np.zeros(len(fingers)) if straight is None else straight
         groups = [finger.flexion for finger in fingers]
+        copies = find_copies(self._view, fingers, groups)
         self.shortens = np.array([bool(group and group.curls) for group in groups])
         for i, group in enumerate(groups):
             if group and (group.curls or unfolded[i]):
@@ -97,6 +100,13 @@ class HandFlexion:
                 self.bases[i] = group.knuckle
                 positions[i] = group.straight
                 senses[i] = group.sense * (unfolded[i] or group.certainty)
+        for i, copy in copies.items():
+            original, column = copy.columns
+            positions[i, column] = copy.position(positions[copy.original])
+            closing = copy.sense * senses[copy.original]
+            senses[i] = (
+                closing * self._curls[copy.original, original] * self._curls[i, column]
+            )
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
@@ -113,6 +123,8 @@ class HandFlexion:
         self.slides |= (self.sign != 0.0) & ~self._curls.any(axis=0)
         self._sign_base_joints()
         start, self.q_closed = ends_of(robot, self.q_open, self.sign)
+        for copy in copies.values():
+            self.q_closed[copy.columns[1]] = copy.position(self.q_closed)
         # A jaw is open at one end of its range, which need not be zero.
         self.q_open = np.where(self.slides, start, self.q_open)
         self.tips_open = self.tips(self.q_open)

@@ -1,8 +1,9 @@
 """What a hand may be, and which evidence speaks for it: one table, one score.
 
 A *hypothesis* says which finger is the thumb, whether the palm is turned over against what the
-joints' ranges say, and whether fingers with one joint each are fingers or jaws. That settles the
-side, the direction of flexion, the straight posture and the order of the fingers' names. Each kind
+joints' ranges say, whether fingers with one joint each are fingers or jaws, and whether the hand
+points where its fingers or where the arm does. That settles the side, the directions of the palm,
+the straight posture and the order of the fingers' names. Each kind
 of evidence says from -1 (contradicts it) to 1 (agrees) what it thinks of it. The hypothesis with
 the largest weighted sum is taken, and it is as certain as it is ahead of the next one.
 """
@@ -61,14 +62,18 @@ TERMS = (
          "another kind of fingers goes apart from zero"),
     Term("thumb and finger", 6.0, "the names say a thumb and a finger",
          "the names say a thumb and a finger"),
+    Term("straight fingers", 3.0, "the fingers do not tell their direction",
+         "the straight fingers have another direction"),
+    Term("arm", 1.0, "the joint of the arm that turns the hand about its length has this direction",
+         "the joint of the arm that turns the hand about its length has another direction"),
 )  # fmt: skip
 """All kinds of evidence.
 
 The ranges of joints that flex to one side only outweigh a name of the wrong side, as of a copied
 file; a name outweighs ranges that show little. Where names say which finger is the thumb, no
-difference outweighs them. The last four tell fingers with one joint each from jaws: a row of
+difference outweighs them. The next four tell fingers with one joint each from jaws: a row of
 parallel fingers, or a thumb by name, outweighs ranges; a pair that opens away from the others does
-not make a row.
+not make a row. The arm outweighs fingers only if where their tips are is a guess.
 """
 SMALL_MARGIN = 0.4
 """The next hypothesis is named if it is less than this behind."""
@@ -94,6 +99,7 @@ class Hypothesis(NamedTuple):
         is_turned: Whether the palm is turned over against the flexion that was found.
         values: What each kind of evidence says, from -1 to 1, by its name; 0 is left out.
         kind: What its fingers with one flexing joint are; None if there are none.
+        is_along_arm: Whether it points where the arm does, and not where its fingers do.
     """
 
     thumb: int | None
@@ -102,11 +108,17 @@ class Hypothesis(NamedTuple):
     is_turned: bool
     values: Mapping[str, float]
     kind: FingerKind | None = None
+    is_along_arm: bool = False
 
     @property
-    def answer(self) -> tuple[int | None, Side, bool, FingerKind | None]:
-        """What it says: the thumb, the side, whether the palm is turned over, and the kind."""
-        return self.thumb, self.side, self.is_turned, self.kind
+    def answer(self) -> tuple[int | None, Side, bool, FingerKind | None, bool]:
+        """What it says: thumb, side, if the palm is turned over, the kind, if along the arm."""
+        return self.thumb, self.side, self.is_turned, self.kind, self.is_along_arm
+
+    @property
+    def options(self) -> tuple[int | None, Side, bool, FingerKind | None]:
+        """What an option of the command, or a picture of the page, chooses of it."""
+        return self.answer[:-1]
 
     @property
     def score(self) -> float:
@@ -119,9 +131,11 @@ class Hypothesis(NamedTuple):
 
     def differences(self, other: "Hypothesis") -> list[str]:
         """Return in which answers two hypotheses differ: for another kind, in where distal is."""
-        whats = ("thumb", "side", "dorsal", "distal")
+        whats = ("thumb", "side", "dorsal", "distal", "distal")
         answers = zip(whats, self.answer, other.answer, strict=True)
-        return [what for what, mine, theirs in answers if mine != theirs]
+        return [
+            *dict.fromkeys(what for what, mine, theirs in answers if mine != theirs)
+        ]
 
     def is_near(self, other: "Hypothesis") -> bool:
         """Return whether another one has nearly as much evidence."""

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_core.se3 import Array, transform_points
+from handmap_core.se3 import Array, inverse_pose, transform_points
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -14,6 +14,7 @@ from handmap_qp.hands import (
     Hand,
     HandSpec,
     PalmKinematics,
+    PalmSpec,
     Side,
     find_fingers,
     load_hand,
@@ -220,13 +221,22 @@ def _names_in_order(hand: Hand, radial: float) -> dict[str, str | None]:
 def with_palm_link(hand: Hand, link: str) -> HandSpec:
     """Return a hand whose palm is fixed to another link, with the same axes at zero."""
     pose, frame = hand.link_poses([link, hand.spec.palm.link], hand.zero)
-    turn = np.linalg.inv(pose) @ frame
-    _, distal, dorsal = map(_vector, (turn[:3, :3] @ palm_axes(hand.spec)).T, (9, 9, 9))
-    xyz = transform_points(turn, np.array(hand.spec.palm.xyz))
-    palm = replace(
-        hand.spec.palm, link=link, distal=distal, dorsal=dorsal, xyz=_vector(xyz, 4)
-    )
+    palm = palm_on(hand.spec.palm, link, inverse_pose(pose) @ frame)
     return replace(hand.spec, palm=palm)
+
+
+def palm_on(palm: PalmSpec, link: str, pose: Array) -> PalmSpec:
+    """Return a palm with the same axes on another link.
+
+    Args:
+        palm: The palm.
+        link: The other link.
+        pose: Pose of the palm's link in the other one's frame, shape (4, 4).
+    """
+    axes = np.array([palm.distal, palm.dorsal]) @ pose[:3, :3].T
+    distal, dorsal = map(_vector, axes, (9, 9))
+    xyz = _vector(transform_points(pose, np.array(palm.xyz)), 4)
+    return replace(palm, link=link, distal=distal, dorsal=dorsal, xyz=xyz)
 
 
 def _vector(values: Array, digits: int) -> tuple[float, float, float]:

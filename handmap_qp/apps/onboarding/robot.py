@@ -25,6 +25,7 @@ from handmap_qp.hands import (
     USUAL_SPEEDS,
     Hand,
     HandSpec,
+    HeldReason,
     Interval,
     LimitSpec,
     MimicSpec,
@@ -37,6 +38,7 @@ from handmap_qp.hands import (
     cut_subtree,
     edges,
     fix_free_joints,
+    held_joints,
     is_lfs_pointer,
     joints_by_name,
     mimics_of,
@@ -151,6 +153,7 @@ class Robot(Hand):
                 "belongs together under `mimic` in the hand.yaml",
             )
         followers = rules.keys() - lost
+        self._held = held_joints(robot)
         limits, locked = self._assume_limits(joints, followers)
         kept = {name: rules[name] for name in joints if name in followers}
         bent = self._rules_within_limits(joints, kept, limits)
@@ -158,7 +161,8 @@ class Robot(Hand):
         active = tuple(name for name in joints if name not in still)
         if not active:
             problem = f"no movable joint hangs from the link {self.root!r}"
-            raise self.error(problem + _locked_advice(locked), self.root)
+            advice = _locked_advice(locked, self._held)
+            raise self.error(problem + advice, self.root)
         return HandSpec(
             name=robot.get("name") or self.file.stem,
             urdf=str(self.file),
@@ -190,7 +194,7 @@ class Robot(Hand):
     @property
     def locked_advice(self) -> str:
         """What to do about joints with equal limits; empty if there are none."""
-        return _locked_advice(self.spec.locked)
+        return _locked_advice(self.spec.locked, self._held)
 
     def error(self, problem: str, value: object = None) -> HandError:
         """Return an error about the robot, with its file."""
@@ -318,7 +322,12 @@ class Robot(Hand):
                 continue
             if low == high:
                 locked[name] = round(low, 6)
-                self._remark(name, "has equal limits: it is locked")
+                what = "has equal limits: it is locked"
+                reason = self._held.get(name)
+                # A note of the conversion names all joints of a loop at once.
+                if reason and reason.kind != "loop":
+                    what = f"{reason.held_at(low)}; {reason.next_step}"
+                self._remark(name, what)
                 continue
             ends, what = _assumed_range(kind, low, high, in_degrees=in_degrees)
             if what:
@@ -343,12 +352,16 @@ def _range_of(joint: Element, limit: LimitSpec | None) -> Interval:
     return Interval(low, high)
 
 
-def _locked_advice(locked: Mapping[str, float]) -> str:
+def _locked_advice(locked: Mapping[str, float], held: Mapping[str, HeldReason]) -> str:
     """Return what to do about joints that do not move because their limits are equal."""
-    if not locked:
-        return ""
-    names = first_of([*locked], _MOST_NAMES)
-    return f"; the limits of {names} are equal: give lower < upper in the file"
+    plain = [name for name in locked if name not in held]
+    advice = ""
+    if plain:
+        names = first_of(plain, _MOST_NAMES)
+        advice = f"; the limits of {names} are equal: give lower < upper in the file"
+    for name in [name for name in locked if name in held][:1]:
+        advice += f"; {name} {held[name].held_at(locked[name])}"
+    return advice
 
 
 def _read(file: Path, text: str | bytes | None) -> str | bytes:

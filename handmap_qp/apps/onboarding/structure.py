@@ -30,6 +30,13 @@ _LEAST_TIP = 0.005
 # An end frame is the fingertip up to this far inside the end of the surface, or beyond it [m].
 _INSIDE = 0.005
 _IN_THE_AIR = 0.012
+# Without a surface, a link is this share of the one before.
+_TIP_SHARE = 0.8
+# Its axes are those of that link if they are turned by less than this in one of so many postures,
+# and it is bent at rest if they are turned by more there [rad].
+_ALIGNED = 0.25
+_BENT = 0.3
+_POSTURES = 11
 # A surface whose farthest points have a centre this near to the joint lies around it [sizes].
 _AROUND = 0.05
 # An end frame this near to the centre of a ball is its centre, and the largest such ball [m].
@@ -380,8 +387,33 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     parts = [*joints[1:], *robot.elements[link].iterfind("visual")]
     if parts and _LEAST_TIP < lengths(before) < LONGEST_FINGER:
         how += ": 0.8 of the previous link's length"
-        return Clue("tip", link, how, 0.3), -0.8 * before
+        return Clue("tip", link, how, 0.3), _TIP_SHARE * _onwards(robot, joints, before)
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
+
+
+def _onwards(robot: Robot, joints: list[int], before: Array) -> Array:
+    """Return the way on from the last joint of a finger to where a next one would be [m], (3,).
+
+    A finger that is bent at zero ends there beside its line. Where the last link's axes are at some
+    posture those of the link before, as of links that were drawn alike, it goes on as that link
+    did. Else it goes on straight at rest.
+
+    Args:
+        robot: The robot.
+        joints: Joints of the finger, outwards.
+        before: The joint before, in the last link's frame at rest [m], shape (3,).
+    """
+    leaf = joints[-1]
+    row = robot.model.idx_vs[leaf]
+    ends = ends_of(robot, robot.rest, np.abs(robot.joint_motion[row]))
+    names = [robot.links[joint][0] for joint in (leaf, robot.model.parents[leaf])]
+    poses = [
+        robot.pose_in(*names, q) for q in (robot.rest, *np.linspace(*ends, _POSTURES))
+    ]
+    turned = [float(np.linalg.norm(pin.log3(pose[:3, :3]))) for pose in poses]
+    if min(turned) < _ALIGNED and turned[0] > _BENT:
+        return poses[0][:3, 3]
+    return -before
 
 
 def _far_end(cloud: Array, ahead: Array) -> tuple[Array, bool]:
