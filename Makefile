@@ -109,7 +109,7 @@ lowest: ## Run the suite with the lowest versions that pyproject.toml allows; ne
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
-	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours robot_computer; do \
+	@for name in own_urdf live_leap own_method leap_quest hours_of_landmarks svh_ur5_ros2 neighbours robot_computer; do \
 	    PYTHONPATH=tests:tests/support $(BIN)/python -m paths.$$name || exit 1; \
 	done
 
