@@ -488,8 +488,9 @@ class Session:
             else:
                 self._commanded.brake(self._when)
             flags += step.stages.summary.flags
-            if self._state.is_halted:
-                status = self._state.mode
+        if self._state.is_halted:
+            # Also where the hand is lost: drivers stop the motors by this word.
+            status = self._state.mode
         trust = self._trust(step, rule, humans)
         diagnostics = {} if is_held else self._diagnostics(step, sample, humans)
         return self._command(now, status, flags, sample, **trust, **diagnostics)
