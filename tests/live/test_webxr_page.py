@@ -281,7 +281,39 @@ def test_what_the_robot_feels_is_shown_and_vibrates(
     count = browser.evaluate("pulses.both.length")
     browser.evaluate("new Promise((done) => setTimeout(done, 300))")
     assert browser.evaluate("pulses.both.length") == count
-    click(browser, "#end")
+    browser.click_on("#end")
+
+
+# A service that lets haptics count for an hour.
+_LONG_LIFE = """
+const parse = JSON.parse;
+JSON.parse = (text) => {
+  const message = parse(text);
+  if ("haptics_life" in message) message.haptics_life = 3600;
+  return message;
+};
+"""
+
+
+def test_what_is_felt_counts_as_long_as_the_service_says(
+    browser: Browser, server: Server
+) -> None:
+    start(browser, server, more=_LONG_LIFE, words="?right=three_finger&left=")
+    wait_until(lambda: "webxr-right" in sessions(server), "no session opens")
+    is_hidden = "document.querySelector('#right .haptics').hidden"
+    with client_of(server) as driver:
+        driver.watch("webxr-right")
+        wait_until(
+            lambda: (
+                driver.touch(forces={"thumb": 2.0}) or not browser.evaluate(is_hidden)
+            ),
+            "no force is shown",
+        )
+    browser.evaluate("new Promise((done) => setTimeout(done, 600))")
+    assert not browser.evaluate(is_hidden)
+    browser.click_on("#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
 
 
 def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:

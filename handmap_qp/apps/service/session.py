@@ -61,6 +61,7 @@ from handmap_qp.stream import (
     RobotGripFollower,
 )
 from handmap_qp.trackers import LAYOUTS
+from .haptics import fingers_by_joint
 from .opening import (
     Calibration,
     Gripping,
@@ -437,6 +438,7 @@ class Session:
             about=About(**about),
             fist=self._fist,
             assumed_speed=self._assumed_speed,
+            fingers=fingers_by_joint(self.robot),
         )
 
     def step(self, sample: Step, now: float) -> Command:

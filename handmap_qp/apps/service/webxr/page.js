@@ -34,7 +34,7 @@ const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
 let modes = null;
 let failure = "";
 
-new Haptics(cards, sessionOf, () => tracking.session);
+new Haptics(cards, sessionOf, service, () => tracking.session);
 service.sessions.push(both.session);
 both.select.onchange = () => { both.unknown = ""; chooseAll(); };
 
