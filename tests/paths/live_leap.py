@@ -250,6 +250,9 @@ def by_headset(path: Newcomer, program: str) -> None:
                 browser.click_on("#right .engage")
 
             see_stop(path, motors, browser, resume)
+            with path.step("the headset ends VR: motors without torque"):
+                browser.evaluate("emulated.session.end(); 0")
+                wait_until(motors.are_free, "the motors keep their torque")
 
 
 def main() -> None:

@@ -86,6 +86,11 @@ export class HandSession {
     return handSample(hands[this.side]);
   }
 
+  /** Whether an emergency stop holds the robot. */
+  get isStopped() {
+    return this.last?.status === "stopped";
+  }
+
   /** What the newest command says of a hand. */
   lastOf() {
     return this.last;
