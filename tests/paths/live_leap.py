@@ -23,11 +23,18 @@ from paths.headset import lead_by_headset, says
 from paths.newcomer import Newcomer
 from patience import PATIENCE, wait_until
 
-LIVE = "docs/live.md"
-MOTORS = "docs/drive.md"
+BY_LANDMARKS = "handmap live --recording demo"
+BY_HEADSET = "handmap live"
+DRIVE = "handmap drive webxr-right --driver leap --port /dev/ttyUSB0"
+INSTALL = "pip install packages/drive"
+EMULATE = "python -m handmap_drive.emulator dynamixel"
+COMMANDS = {
+    **dict.fromkeys((BY_LANDMARKS, BY_HEADSET, DRIVE), "docs/live.md"),
+    **dict.fromkeys((INSTALL, EMULATE), "docs/drive.md"),
+}
 SECONDS = 8.0
 """Time over which motors and commands are compared [s]."""
-LARGEST_DELAY = 0.4
+LARGEST_DELAY = 1.0
 """Longest delay of the motors that is tried [s]."""
 WORST = 0.1
 """Largest RMS distance of the motors from the commands of that long ago [rad]."""
@@ -194,20 +201,18 @@ def see_stop(
 @contextmanager
 def driven(path: Newcomer, session: str) -> Iterator[Motors]:
     """Let emulated motors follow a session, by the commands of the page on motors."""
-    emulator = path.entering(MOTORS, "python -m handmap_drive.emulator dynamixel")
-    with emulator as process:
+    with path.entering(EMULATE) as process:
         motors = Motors(process)
-        line = "handmap drive webxr-right --driver leap --port /dev/ttyUSB0"
         instead = {"/dev/ttyUSB0": motors.port, "webxr-right": session}
         # Nobody is here to hold the space bar.
-        with path.entering(LIVE, line, "--no-deadman", instead) as motors.driver:
+        with path.entering(DRIVE, "--no-deadman", instead) as motors.driver:
             yield motors
 
 
 @contextmanager
 def live(path: Newcomer, line: str) -> Iterator[str]:
     """Type `handmap live`, and yield the address of the page that it prints."""
-    with path.entering(LIVE, line, "--robot leap --no-open") as process:
+    with path.entering(line, "--robot leap --no-open") as process:
         assert process.stdout
         found = re.search(r"https?://\S+", process.stdout.readline())
         yield found[0] if found else stop("handmap live prints no address")
@@ -216,7 +221,7 @@ def live(path: Newcomer, line: str) -> Iterator[str]:
 def by_landmarks(path: Newcomer, program: str) -> None:
     """Move the motors by recorded landmarks, as those of a webcam."""
     with (
-        live(path, "handmap live --recording demo") as page,
+        live(path, BY_LANDMARKS) as page,
         driven(path, "live") as motors,
         Browser(program) as browser,
     ):
@@ -236,7 +241,7 @@ def by_landmarks(path: Newcomer, program: str) -> None:
 def by_headset(path: Newcomer, program: str) -> None:
     """Move the motors by the right hand of an emulated headset."""
     with (
-        live(path, "handmap live") as page,
+        live(path, BY_HEADSET) as page,
         Browser(program, size=(1100, 1000)) as browser,
     ):
         lead_by_headset(path, browser, page)
@@ -260,14 +265,18 @@ def main() -> None:
     program = find_chromium()
     if not program:
         stop("no Chromium on the path: HANDMAP_CHROMIUM names one")
-    for title, go in (
-        ("Landmarks of a webcam move an emulated LEAP", by_landmarks),
-        ("An emulated headset moves an emulated LEAP", by_headset),
-    ):
-        with Newcomer(title, "plot", "view", "service") as path:
-            path.enter(MOTORS, "pip install packages/drive")
-            go(path, program)
-            path.leave_out("a camera, a headset of a maker, a motor", "none is here")
+    # With what the README installs, the first command says what it lacks.
+    title = "Landmarks of a webcam move an emulated LEAP"
+    with Newcomer(title, "plot", "view", commands=COMMANDS) as path:
+        path.heed(BY_LANDMARKS, "--robot leap")
+        path.enter(INSTALL)
+        by_landmarks(path, program)
+        path.leave_out("a camera, a motor", "none is here")
+    title = "An emulated headset moves an emulated LEAP"
+    with Newcomer(title, "view", "service", commands=COMMANDS) as path:
+        path.enter(INSTALL)
+        by_headset(path, program)
+        path.leave_out("a headset of a maker, a motor", "none is here")
 
 
 if __name__ == "__main__":

@@ -36,6 +36,11 @@ def commands_of(page: str) -> set[str]:
     return {" ".join(line.removesuffix("&").split()) for line in lines}
 
 
+def is_printed(line: str, page: str) -> bool:
+    """Tell whether a page prints a command."""
+    return line in commands_of(page)
+
+
 def code_of(page: str, name: str) -> str:
     """Return the Python that a page tells the user to write to a file."""
     text = (ROOT / page).read_text(encoding="utf-8")
@@ -46,15 +51,24 @@ def code_of(page: str, name: str) -> str:
 class Newcomer(Fresh):
     """A fresh environment and a user who types; a context manager.
 
+    Args:
+        name: See `Fresh`.
+        extras: See `Fresh`.
+        commands: The commands that the user types, each with the page that prints it.
+
     Attributes:
         typed: The commands so far.
         hints: How often a refusal had to be followed.
     """
 
-    def __enter__(self) -> Newcomer:
-        """Install the package as the page of the installation says."""
+    def __init__(self, name: str, *extras: str, commands: Mapping[str, str]) -> None:
+        super().__init__(name, *extras)
+        self._commands = commands
         self.typed = [*_INSTALLING]
         self.hints = 0
+
+    def __enter__(self) -> Newcomer:
+        """Install the package as the page of the installation says."""
         super().__enter__()
         return self
 
@@ -74,30 +88,25 @@ class Newcomer(Fresh):
         super().__exit__(kind, error, trace)
 
     def words_of(
-        self,
-        page: str,
-        line: str,
-        also: str = "",
-        instead: Mapping[str, str] | None = None,
+        self, line: str, also: str = "", instead: Mapping[str, str] | None = None
     ) -> list[str]:
         """Count a command, and return its words.
 
         Args:
-            page: The page that prints it, as `docs/live.md`.
-            line: The command as it is printed there.
+            line: The command as its page prints it.
             also: What is typed behind it, where this machine or the user's hand differs.
             instead: What is typed in place of words of the line, such as a port.
         """
-        if line not in commands_of(page):
-            stop(f"{page} does not print: {line}")
+        if not is_printed(line, self._commands[line]):
+            stop(f"{self._commands[line]} does not print: {line}")
         words = [(instead or {}).get(word, word) for word in shlex.split(line)]
         words += shlex.split(also)
         self.typed.append(shlex.join(words))
         return words
 
-    def enter(self, page: str, line: str, also: str = "", worst: int = 0) -> str:
+    def enter(self, line: str, also: str = "", worst: int = 0) -> str:
         """Type a command, and return what it prints; see `words_of` and `run`."""
-        words = self.words_of(page, line, also)
+        words = self.words_of(line, also)
         # Packages are named by their folders in the checkout.
         cwd = ROOT if words[:2] == ["pip", "install"] else self.work
         with self.step(self.typed[-1]):
@@ -105,14 +114,10 @@ class Newcomer(Fresh):
 
     @contextlib.contextmanager
     def entering(
-        self,
-        page: str,
-        line: str,
-        also: str = "",
-        instead: Mapping[str, str] | None = None,
+        self, line: str, also: str = "", instead: Mapping[str, str] | None = None
     ) -> Iterator[subprocess.Popen[str]]:
         """Type a command into a terminal of its own, where it runs until the end of the block."""
-        words = self.words_of(page, line, also, instead)
+        words = self.words_of(line, also, instead)
         self.note(f"in a terminal: {self.typed[-1]}")
         name = f"terminal{len(self.typed)}"
         with self.background(words, name) as process:
@@ -124,16 +129,9 @@ class Newcomer(Fresh):
                     self.note(f"{words[1]}: {line}")
                 raise
 
-    def heed(self, page: str, line: str, hint: str, also: str = "") -> None:
-        """Type a command that is refused, and see that the refusal says how to go on.
-
-        Args:
-            page: See `words_of`.
-            line: See `words_of`.
-            hint: What its last line must say.
-            also: See `words_of`.
-        """
-        words = self.words_of(page, line, also)
+    def heed(self, line: str, also: str = "") -> None:
+        """Type a command that is refused, and then the command that its last line names."""
+        words = self.words_of(line, also)
         with self.step(f"{self.typed[-1]} (refused)"):
             done = subprocess.run(
                 words,
@@ -147,6 +145,8 @@ class Newcomer(Fresh):
             stop(f"{line}: expected a refusal")
         said = done.stderr.strip().splitlines()[-1]
         self.note(said)
-        if hint not in said:
-            stop(f"the refusal does not say: {hint}")
+        hint = said.rpartition(": ")[2]
+        self.typed.append(hint)
         self.hints += 1
+        with self.step(hint):
+            run(shlex.split(hint), env=self._variables, cwd=self.work)

