@@ -19,6 +19,8 @@ from handmap_qp.trackers.layouts.tables import load_layout
 EMULATION = Path(__file__).parents[1] / "live" / "xr_emulation.js"
 # A headset has the service's clock: without what the tests of the page ask for.
 _OWN_CLOCK = "\nWebSocket.prototype.send = send;\n"
+_FOLLOWED = '["converged", "limited", "unsettled", "unreachable"]'
+"""Statuses of a robot that follows."""
 RATE = 30.0
 """Pictures that the emulated headset takes in a second."""
 
@@ -63,3 +65,7 @@ def lead_by_headset(path: Fresh, browser: Browser, address: str) -> None:
             " }; 0"
         )
         browser.wait_for(says("#right .state", "streaming"))
+        # After the hand is measured, on a busy machine much later.
+        browser.wait_for(
+            f"{_FOLLOWED}.includes(document.querySelector('#right .robot').textContent)"
+        )

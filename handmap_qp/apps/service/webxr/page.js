@@ -148,12 +148,12 @@ function describeInHeadset(card) {
   };
 }
 
-/** What the headset shows of the emergency stop. */
+/** What the headset shows of the emergency stop, in lines that fit on its panel. */
 function describeStop() {
   const stop = stopState();
-  const text = stop
-    ? [stop[1], stop[1].endsWith("no answer") ? stop[2] : "To go on, leave VR and press Clear the stop on the page."]
-    : ["Emergency stop: touch the red disc above you, or press B or Y", "It stops every robot of this service."];
+  let text = ["Emergency stop: touch the red disc,", "or press B or Y. It stops every robot."];
+  if (robots.isUnanswered) text = [stop[1], "Use the robot's own emergency stop."];
+  else if (stop) text = [stop[1], "Leave VR, then Clear the stop on the page."];
   return { side: null, colour: COLOURS[stop ? "error" : "off"], text };
 }
 
