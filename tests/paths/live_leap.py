@@ -147,7 +147,8 @@ def measure(
     """Watch motors and commands for some seconds.
 
     Returns:
-        Delay [s], RMS distance then [rad], and the largest motion of a motor [rad].
+        Delay [s], RMS distance then [rad], and the largest motion [rad]: of a command or of a
+        motor, whichever moved less. Motors that arrive at a robot that holds follow nothing.
     """
     file = path.work / "commands.npz"
     states = []
@@ -164,7 +165,8 @@ def measure(
     angles = np.array([each["angle"] for each in states])
     is_after = commands["time"] > times[0]
     commands = {name: commands[name][is_after] for name in ("time", "q")}
-    return *distance(commands, times, angles), float(np.ptp(angles, axis=0).max())
+    moved = min(np.ptp(each, axis=0).max() for each in (angles, commands["q"]))
+    return *distance(commands, times, angles), float(moved)
 
 
 def see_following(path: Newcomer, motors: Motors, session: str) -> None:
