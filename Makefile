@@ -112,7 +112,7 @@ playground: $(INSTALLED) ## Make a page with saved hands, in build/playground; n
 	@$(BIN)/python packages/handmap-js/pack.py build/playground
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
-	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours robot_computer; do \
+	@for name in own_urdf live_leap own_method leap_quest hours_of_landmarks svh_ur5_ros2 neighbours robot_computer; do \
 	    PYTHONPATH=tests:tests/support $(BIN)/python -m paths.$$name || exit 1; \
 	done
 

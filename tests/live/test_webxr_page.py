@@ -68,12 +68,71 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
+<<<<<<< HEAD
+=======
+def webxr_joints(side: str) -> np.ndarray:
+    """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
+    samples = [each for each in sample_columns(moving_hand(40, side)) if each.valid]
+    return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
+
+
+def open_page(
+    browser: Browser,
+    server: Server,
+    *,
+    more: str = "",
+    token: str = TOKEN,
+    words: str = "?right=allegro_right&left=three_finger",
+) -> None:
+    """Load the page with an emulated headset, changed by `more` before the page's own script."""
+    browser.open("about:blank")
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)[
+        "identifier"
+    ]
+    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}#token={token}")
+    browser.wait_for("document.querySelector('#left .state')?.textContent")
+    browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
+
+
+def text(browser: Browser, selector: str) -> str:
+    return browser.evaluate(
+        f"document.querySelector({json.dumps(selector)}).textContent"
+    )
+
+
+def wait_for_text(browser: Browser, selector: str, part: str) -> None:
+    query = f"document.querySelector({json.dumps(selector)}).textContent"
+    browser.wait_for(f"{query}.includes({json.dumps(part)})")
+
+
+def show_hands(browser: Browser, *sides: str) -> None:
+    """Let the emulated headset see moving hands, to and fro without jumps."""
+    joints = {side: webxr_joints(side).tolist() for side in sides}
+    browser.evaluate(
+        f"window.joints = {json.dumps(joints)}; window.sample = 0; emulated.hands = {{}};"
+        "emulated.beforeFrame = () => { sample += 1; for (const side in joints)"
+        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }; 0"
+    )
+
+
+>>>>>>> ways
 def sessions(server: Server) -> dict[str, Session]:
     sessions = server.dispatcher.sessions
     found = in_loop(server, lambda: list(sessions.by_secret.values()))
     return {session.name: session for session in found}
 
 
+<<<<<<< HEAD
+=======
+def start(browser: Browser, server: Server, **choices: Any) -> None:
+    open_page(browser, server, **choices)
+    browser.evaluate(f"emulated.rate = {RATE}; 0")
+    wait_for_text(browser, "#state", "Ready")
+    browser.click_on("#start-vr")
+    wait_for_text(browser, "#state", "Waiting for hands")
+
+
+>>>>>>> ways
 def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     start(browser, server, words="?robot=g1")
     show_hands(browser, "right", "left")
@@ -94,9 +153,9 @@ def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#right .state", "streaming")
     browser.wait_for("document.querySelector('#right .robot').textContent != 'held'")
     # One hold for both.
-    click(browser, "#left .hold")
+    browser.click_on("#left .hold")
     wait_for_text(browser, "#right .state", "held until Engage")
-    click(browser, "#right .engage")
+    browser.click_on("#right .engage")
     wait_for_text(browser, "#right .state", "streaming")
     # Joints that do not follow hold the whole robot, and both hands say so.
     session = sessions(server)["webxr-both"]
@@ -112,13 +171,13 @@ def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
         return all("joints do not follow" in state for state in states)
 
     wait_until(both_say_so)
-    click(browser, "#right .engage")
+    browser.click_on("#right .engage")
     wait_for_text(browser, "#right .state", "streaming")
-    click(browser, "#stop")
+    browser.click_on("#stop")
     wait_for_text(browser, "#right .state", "emergency stop")
-    click(browser, "#right .clear")
+    browser.click_on("#right .clear")
     wait_for_text(browser, "#right .state", "held until Engage")
-    click(browser, "#end")
+    browser.click_on("#end")
     wait_until(lambda: "webxr-both" not in sessions(server))
 
 
@@ -206,7 +265,39 @@ def test_what_the_robot_feels_is_shown_and_vibrates(
     count = browser.evaluate("pulses.both.length")
     browser.evaluate("new Promise((done) => setTimeout(done, 300))")
     assert browser.evaluate("pulses.both.length") == count
-    click(browser, "#end")
+    browser.click_on("#end")
+
+
+# A service that lets haptics count for an hour.
+_LONG_LIFE = """
+const parse = JSON.parse;
+JSON.parse = (text) => {
+  const message = parse(text);
+  if ("haptics_life" in message) message.haptics_life = 3600;
+  return message;
+};
+"""
+
+
+def test_what_is_felt_counts_as_long_as_the_service_says(
+    browser: Browser, server: Server
+) -> None:
+    start(browser, server, more=_LONG_LIFE, words="?right=three_finger&left=")
+    wait_until(lambda: "webxr-right" in sessions(server), "no session opens")
+    is_hidden = "document.querySelector('#right .haptics').hidden"
+    with client_of(server) as driver:
+        driver.watch("webxr-right")
+        wait_until(
+            lambda: (
+                driver.touch(forces={"thumb": 2.0}) or not browser.evaluate(is_hidden)
+            ),
+            "no force is shown",
+        )
+    browser.evaluate("new Promise((done) => setTimeout(done, 600))")
+    assert not browser.evaluate(is_hidden)
+    browser.click_on("#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
 
 
 def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:
@@ -220,7 +311,7 @@ def test_a_slow_hand_has_a_line(browser: Browser, server: Server) -> None:
     assert not browser.evaluate(is_hidden.format("right"))
     assert text(browser, "#left .slow") == ""
     assert browser.evaluate(is_hidden.format("left"))
-    click(browser, "#end")
+    browser.click_on("#end")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []
 
@@ -243,7 +334,7 @@ def test_a_robot_that_assumed_speeds_hold_has_a_line(
     # The words are those of the package; the counts go on.
     numbers = r"\d+ %|often \w*"
     assert re.sub(numbers, "", shown) == re.sub(numbers, "", assumed_note(counted))
-    click(browser, "#end")
+    browser.click_on("#end")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []
 
@@ -289,29 +380,29 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     wait_until(lambda: text(browser, "#left .robot") in ("held", "hold"))
     wait_for_text(browser, "#right .state", "streaming")
     # The buttons hold and engage.
-    click(browser, "#right .hold")
+    browser.click_on("#right .hold")
     wait_for_text(browser, "#right .state", "held until Engage")
     wait_until(lambda: sessions(server)["webxr-right"].mode == "released")
-    click(browser, "#right .engage")
+    browser.click_on("#right .engage")
     browser.wait_for(
         "!document.querySelector('#right .state').textContent.includes('held')"
     )
     # An emergency stop is latched until it is cleared on purpose.
-    click(browser, "#stop")
+    browser.click_on("#stop")
     wait_for_text(browser, "#state", "EMERGENCY STOP")
     wait_for_text(browser, "#advice", "webxr-left, webxr-right")
     wait_for_text(browser, "#right .state", "emergency stop")
     wait_for_text(browser, "#right .robot", "stopped")
-    click(browser, "#right .engage")
+    browser.click_on("#right .engage")
     assert sessions(server)["webxr-right"].mode == "stopped"
-    click(browser, "#right .clear")
+    browser.click_on("#right .clear")
     wait_for_text(browser, "#right .state", "held until Engage")
-    click(browser, "#right .engage")
+    browser.click_on("#right .engage")
     browser.wait_for(
         "!document.querySelector('#right .state').textContent.includes('held')"
     )
-    click(browser, "#left .clear")
-    click(browser, "#end")
+    browser.click_on("#left .clear")
+    browser.click_on("#end")
     wait_for_text(browser, "#state", "Ready")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []
@@ -331,7 +422,7 @@ def test_a_page_that_leads_nothing_stops_every_robot(
     ):
         wait_for_text(browser, "#scope", "all 2 robots of this service")
         assert browser.evaluate(_IS_IN_SIGHT)
-        click(browser, "#stop")
+        browser.click_on("#stop")
         wait_for_text(browser, "#state", "EMERGENCY STOP")
         wait_until(lambda: shared.status().mode == private.status().mode == "stopped")
         wait_for_text(browser, "#advice", "lab, private")
@@ -342,7 +433,7 @@ def test_a_page_that_leads_nothing_stops_every_robot(
         assert browser.evaluate(
             "document.querySelector('[data-name=private] .clear').hidden"
         )
-        click(browser, "[data-name=lab] .clear")
+        browser.click_on("[data-name=lab] .clear")
         wait_until(lambda: not shared.status().stop)
         browser.wait_for(
             "!document.querySelector('#advice').textContent.includes('lab')"
@@ -367,9 +458,164 @@ def test_a_stop_that_is_not_answered_says_so(browser: Browser, server: Server) -
     wait_for_text(browser, "#state", "Ready")
     # The network swallows what the page sends.
     browser.evaluate("WebSocket.prototype.send = () => {}; 0")
-    click(browser, "#stop")
+    browser.click_on("#stop")
     wait_for_text(browser, "#state", "EMERGENCY STOP: no answer")
     wait_for_text(browser, "#advice", "the robot's own emergency stop")
+
+
+DISC = np.array([0.0, 0.22, -0.38])
+"""Middle of the emergency stop in the scene, from the eyes of who looks along -z [m]."""
+BESIDE = DISC + np.array([0.07, 0.0, 0.0])
+"""A place beside it [m]."""
+_REACH = """
+window.sample = 0;
+emulated.beforeFrame = () => {
+  sample += 1;
+  const touches = sample % PERIOD < FRAMES;
+  emulated.hands = { left: away, right: touches ? touching : away };
+};
+0
+"""
+"""Let the right hand touch something for some of the frames of a period."""
+
+
+def reach(browser: Browser, place: np.ndarray, frames: int, period: int = 30) -> None:
+    """Let the tip of the right index finger be at a place [m] for frames of each period."""
+    away = webxr_joints("right")[0] - [0.0, 0.6, 0.0]
+    touching = away + place - away[9]
+    browser.evaluate(
+        f"window.away = {json.dumps(away.tolist())};"
+        f"window.touching = {json.dumps(touching.tolist())};"
+        + _REACH.replace("PERIOD", str(period)).replace("FRAMES", str(frames))
+    )
+
+
+def modes(server: Server) -> dict[str, str]:
+    """Return what the robot of each session does."""
+    return {name: session.mode for name, session in sessions(server).items()}
+
+
+def are_all(server: Server, mode: str) -> bool:
+    """Tell whether all robots are in one mode."""
+    return {*modes(server).values()} == {mode}
+
+
+def clear_all(browser: Browser) -> None:
+    """Clear the stops of both hands on the page."""
+    for side in ("right", "left"):
+        browser.click_on(f"#{side} .clear")
+        browser.wait_for(f"document.querySelector('#{side} .clear').hidden")
+
+
+def test_a_touch_of_the_disc_in_the_headset_stops_every_robot(
+    browser: Browser, server: Server
+) -> None:
+    eye = np.array([0.1, 1.5, 0.2])
+    start(browser, server)
+    browser.evaluate(f"emulated.eye = {json.dumps(eye.tolist())}; 0")
+    reach(browser, eye + DISC, 0)
+    wait_until(lambda: len(sessions(server)) == 2)
+    # A hand that is there for two frames (67 ms) was perhaps never there, and one beside the
+    # disc touches nothing.
+    for place, frames in ((DISC, 2), (BESIDE, 30)):
+        reach(browser, eye + place, frames)
+        browser.wait_for("sample > 60")
+        assert "stopped" not in modes(server).values()
+    with connected(server, name="lab", is_shared=True) as other:
+        reach(browser, eye + DISC, 30)
+        # Its questions keep the session of another client open.
+        wait_until(lambda: other.status().mode == "stopped")
+        wait_until(lambda: are_all(server, "stopped"))
+        # A finger that stays there does not stop again what somebody has cleared.
+        other.clear(other.status().stop)
+        last = browser.evaluate("sample") + 10
+        wait_until(lambda: other.status() and browser.evaluate("sample") > last)
+        assert not other.status().stop
+    wait_for_text(browser, "#state", "EMERGENCY STOP")
+    reach(browser, eye + DISC, 0)
+    clear_all(browser)
+    browser.click_on("#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
+
+
+def press(browser: Browser, button: int, side: str = "left") -> None:
+    """Let a controller be held, with one button pressed; -1 for none."""
+    browser.evaluate(
+        "emulated.controllers = [{ handedness: SIDE, gamepad: { buttons:"
+        " Array.from({ length: 6 }, (_, i) => ({ pressed: i === BUTTON })) } }]; 0".replace(
+            "SIDE", json.dumps(side)
+        ).replace("BUTTON", str(button))
+    )
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_upper_button_of_a_controller_stops_every_robot(
+    browser: Browser, server: Server, side: str
+) -> None:
+    start(browser, server)
+    show_hands(browser, "right", "left")
+    wait_for_text(browser, "#right .state", "streaming")
+    # The other buttons, which people press to hold something, do nothing.
+    for button in (-1, 0, 1, 2, 3, 4):
+        press(browser, button, side)
+        count = browser.evaluate("sample")
+        browser.wait_for(f"sample > {count} + 3")
+    assert "stopped" not in modes(server).values()
+    press(browser, 5, side)
+    wait_until(lambda: are_all(server, "stopped"))
+    wait_for_text(browser, "#right .state", "emergency stop")
+    browser.evaluate("emulated.controllers = []; 0")
+    clear_all(browser)
+    browser.click_on("#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
+
+
+def test_the_end_of_the_headsets_session_leaves_no_robot_moving(
+    browser: Browser, server: Server
+) -> None:
+    start(browser, server, words="?right=allegro_right&left=")
+    show_hands(browser, "right")
+    wait_until(lambda: are_all(server, "following"))
+    with client_of(server) as watcher:
+        watcher.watch("webxr-right")
+        wait_until(lambda: watcher.latest(1.0))
+        # By the system: a menu, a battery, a headset that is put down.
+        browser.evaluate("emulated.session.end(); 0")
+        wait_until(lambda: not sessions(server))
+        while watcher.latest():
+            pass
+        # Drivers stop without a command: see `LOST` of `handmap drive`.
+        assert watcher.latest(0.5) is None
+    wait_for_text(browser, "#state", "Ready")
+    assert browser.errors == []
+
+
+def test_a_stop_outlasts_the_headsets_session_and_can_be_cleared(
+    browser: Browser, server: Server
+) -> None:
+    start(browser, server, words="?right=allegro_right&left=")
+    show_hands(browser, "right")
+    wait_until(lambda: are_all(server, "following"))
+    press(browser, 5)
+    wait_until(lambda: are_all(server, "stopped"))
+    wait_for_text(browser, "#right .state", "emergency stop")
+    browser.evaluate("emulated.session.end(); emulated.controllers = []; 0")
+    browser.wait_for("!document.querySelector('#start-vr').disabled")
+    # The page is what a person sees now: it says what holds the robot, and can end that.
+    wait_for_text(browser, "#state", "EMERGENCY STOP")
+    assert are_all(server, "stopped")
+    assert "emergency stop" in text(browser, "#right .state")
+    browser.click_on("#right .clear")
+    wait_until(lambda: not sessions(server))
+    wait_for_text(browser, "#state", "Ready")
+    # The next start follows again.
+    browser.click_on("#start-vr")
+    wait_until(lambda: are_all(server, "following"))
+    browser.click_on("#end")
+    wait_until(lambda: not sessions(server))
+    assert browser.errors == []
 
 
 def _is_drawn(browser: Browser, selector: str) -> bool:
@@ -381,7 +627,9 @@ def _is_drawn(browser: Browser, selector: str) -> bool:
     )
 
 
-def test_the_headset_shows_hands_and_panel(browser: Browser, server: Server) -> None:
+def test_the_headset_shows_hands_panel_and_stop(
+    browser: Browser, server: Server
+) -> None:
     start(browser, server)
     browser.evaluate("emulated.eye = [0.05, 0.15, 0.5]; 0")
     show_hands(browser, "right")
@@ -392,14 +640,16 @@ def test_the_headset_shows_hands_and_panel(browser: Browser, server: Server) -> 
         "const { gl } = emulated; const { width, height } = gl.canvas;"
         "const data = new Uint8Array(4 * width * height);"
         "gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, data);"
-        "let green = 0, panel = 0;"
+        "let green = 0, panel = 0, red = 0;"
         "for (let i = 0; i < data.length; i += 4) {"
         " if (data[i + 1] > 150 && data[i] < 120) green += 1;"
-        " if (data[i] === 27 && data[i + 1] === 33) panel += 1; }"
-        "resolve([green, panel]); }; })"
+        " if (data[i] === 27 && data[i + 1] === 33) panel += 1;"
+        " if (data[i] > 180 && data[i + 1] < 50) red += 1; }"
+        "resolve([green, panel, red]); }; })"
     )
     assert pixels[0] > 125
     assert pixels[1] > 1250
+    assert pixels[2] > 1250
 
 
 def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -> None:
@@ -429,7 +679,7 @@ def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -
     second = wait_until(lambda: sessions(server).get("webxr-right"))
     assert second is not first
     assert second._epoch == first._epoch  # it goes on where the robot was
-    click(browser, "#end")
+    browser.click_on("#end")
 
 
 @pytest.mark.parametrize(
@@ -515,7 +765,7 @@ def test_the_stop_works_without_the_table_of_statuses(
     open_page(browser, server, more="window.fetch = () => Promise.reject(Error());")
     with connected(server, name="lab", is_shared=True) as lab:
         wait_for_text(browser, "#scope", "Stops the robot")
-        click(browser, "#stop")
+        browser.click_on("#stop")
         wait_until(lambda: lab.status().mode == "stopped")
         browser.wait_for("document.querySelector('[data-name=lab]') !== null")
         wait_for_text(browser, "[data-name=lab] .mode", "stopped")
@@ -545,7 +795,7 @@ def test_a_headset_without_hand_tracking_is_named(
 ) -> None:
     open_page(browser, server, more="emulated.hasHands = false;")
     wait_for_text(browser, "#state", "Ready")
-    click(browser, "#start-vr")
+    browser.click_on("#start-vr")
     wait_for_text(browser, "#message", "hand tracking")
 
 

@@ -1,5 +1,6 @@
 // A headset in a browser that has none: navigator.xr with hand tracking, as far as the page needs
-// it. `emulated` controls it: `hands` holds positions of 25 joints by side, `rate` is in Hz.
+// it. `emulated` controls it: `hands` holds positions of 25 joints by side, `controllers` further
+// input sources, `rate` is in Hz; `session` is the session, which the system can end.
 // Its clock counts frames, so that hands which `beforeFrame` moves keep their speed on a busy machine.
 "use strict";
 const SIZE = [480, 270]; // of the picture that the headset shows [px]
@@ -15,7 +16,7 @@ WebSocket.prototype.send = function sendSimulated(text) {
   const more = request.type === "open" ? SIMULATION : {};
   send.call(this, JSON.stringify({ ...more, ...request }));
 };
-window.emulated = { hands: {}, rate: 72, isSupported: true, hasHands: true, frames: 0, requests: [] };
+window.emulated = { hands: {}, controllers: [], rate: 72, isSupported: true, hasHands: true, frames: 0, requests: [] };
 
 class EmulatedLayer {
   constructor(session, gl) {
@@ -87,10 +88,11 @@ class EmulatedSession extends EventTarget {
   }
 
   get inputSources() {
-    return Object.keys(emulated.hands).map((side) => ({
+    const hands = Object.keys(emulated.hands).map((side) => ({
       handedness: side,
       hand: new Map(Array.from({ length: 25 }, (_, index) => [`joint-${index}`, { side, index }])),
     }));
+    return [...hands, ...emulated.controllers];
   }
 
   updateRenderState(state) {
@@ -122,7 +124,8 @@ Object.defineProperty(navigator, "xr", {
       emulated.requests.push({ mode, wanted });
       if (!navigator.userActivation.isActive) throw new DOMException("no click", "SecurityError");
       if (!emulated.hasHands) throw new DOMException("no hands", "NotSupportedError");
-      return new EmulatedSession(mode);
+      emulated.session = new EmulatedSession(mode);
+      return emulated.session;
     },
   },
 });

@@ -24,15 +24,12 @@ ROOT = Path(__file__).parents[2]
 WHEELS = ROOT / "build" / "paths"
 LIMIT = 1800.0
 """Longest time of one command [s]."""
-# All that the wheels are made of.
-_SOURCES = (
-    "core",
-    "handmap_qp",
-    "urdf",
-    ".ci/addresses.py",
-    ".ci/metadata.py",
-    "pyproject.toml",
-)
+# What each wheel is made of, by the folder that it is built from.
+_SHARED = (".ci/addresses.py", ".ci/metadata.py")
+_SOURCES = {
+    ROOT / "core": ("core", *_SHARED),
+    ROOT: ("handmap_qp", "urdf", "pyproject.toml", *_SHARED),
+}
 _SIZES = """
 from importlib.metadata import distributions
 sizes = {}
@@ -89,10 +86,22 @@ def find_uv() -> str:
 def wheels() -> tuple[Path, Path]:
     """Return wheels of the core and the library for this interpreter.
 
-    They are built if there are none of today's files.
+    Each is built if there is none of today's files.
     """
+    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    core, library = (
+        _wheel_of(source, WHEELS / python / name)
+        for source, name in zip(_SOURCES, ("core", "library"), strict=True)
+    )
+    return core, library
+
+
+def _wheel_of(source: Path, folder: Path) -> Path:
+    """Return the wheel of a package in a folder of its own; build it if its files are newer."""
     files = [
-        file for name in _SOURCES for file in [ROOT / name, *(ROOT / name).rglob("*")]
+        file
+        for name in _SOURCES[source]
+        for file in [ROOT / name, *(ROOT / name).rglob("*")]
     ]
     newest = max(
         file.stat().st_mtime
@@ -101,15 +110,13 @@ def wheels() -> tuple[Path, Path]:
         and not file.is_relative_to(ROOT / "core" / "build")
         and not file.name.endswith((".so", ".pyc"))
     )
-    folder = WHEELS / f"cp{sys.version_info.major}{sys.version_info.minor}"
-    built = sorted(folder.glob("*.whl"))
-    if not built or built[-1].stat().st_mtime < newest:
+    built = [*folder.glob("*.whl")]
+    if not built or built[0].stat().st_mtime < newest:
         shutil.rmtree(folder, ignore_errors=True)
-        for source in (ROOT / "core", ROOT):
-            build(source, folder)
-        built = sorted(folder.glob("*.whl"))
-    core, library = built
-    return core, library
+        build(source, folder)
+        built = [*folder.glob("*.whl")]
+    (wheel,) = built
+    return wheel
 
 
 def build(source: Path, folder: Path, python: str = sys.executable) -> None:
@@ -139,11 +146,15 @@ class Fresh:
     Args:
         name: Name of the path.
         extras: Extras of the package.
+
+    Attributes:
+        began: Time at which the environment was begun, after the wheels were there [s, monotonic].
     """
 
     def __init__(self, name: str, *extras: str) -> None:
         self.name = name
         self.extras = extras
+        self.began = time.monotonic()
 
     def __enter__(self) -> Fresh:
         """Make the environment and install the package's wheels into it."""
@@ -164,6 +175,7 @@ class Fresh:
         try:
             with self.step("build the wheels, or take those of today's files"):
                 core, library = wheels()
+            self.began = time.monotonic()
             with self.step("make an empty environment"):
                 words = [find_uv(), "venv", "--quiet", "--seed", "--python"]
                 run([*words, sys.executable, str(self._bin.parent)])
@@ -264,16 +276,33 @@ class Fresh:
         command = [str(self._bin / "python"), "-W", "ignore", "-c", code, *words]
         return run(command, env=self._variables, cwd=self.work)
 
-    @contextlib.contextmanager
-    def running(self, *words: str) -> Iterator[subprocess.Popen[str]]:
+    def running(
+        self, *words: str
+    ) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
         """Let a `handmap` command run in the background, until the end of the block."""
-        log = (self.work / f"{words[0]}.log").open("w", encoding="utf-8")
+        return self.background([str(self._bin / "handmap"), *words], words[0])
+
+    @contextlib.contextmanager
+    def background(
+        self, words: list[str], name: str
+    ) -> Iterator[subprocess.Popen[str]]:
+        """Let a program run in the background, until the end of the block.
+
+        Args:
+            words: The program and its words.
+            name: Name of the file `NAME.log` in the folder that gets its stderr.
+
+        Yields:
+            The process, whose stdin and stdout are pipes.
+        """
+        log = (self.work / f"{name}.log").open("w", encoding="utf-8")
         with (
             log,
             subprocess.Popen(
-                [str(self._bin / "handmap"), *words],
+                words,
                 env=self._variables,
                 cwd=self.work,
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
@@ -287,6 +316,13 @@ class Fresh:
                     process.wait(20.0)
                 except subprocess.TimeoutExpired:
                     process.kill()
+
+    def scripted(
+        self, code: str, *words: str
+    ) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
+        """Let Python code run in the background, until the end of the block."""
+        command = [str(self._bin / "python"), "-W", "ignore", "-c", code, *words]
+        return self.background(command, "script")
 
     @contextlib.contextmanager
     def serving(self, *words: str) -> Iterator[dict[str, int]]:

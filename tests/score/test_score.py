@@ -603,6 +603,7 @@ def test_joints_of_any_program_score_as_the_function_that_made_them(
                 joint_names=load_hand("allegro_right").joint_names,
             )
     replace(given, files=(str(file),), trajectory=(joints,)).run()
+    assert "give three by --seeds" in capsys.readouterr().err
     results = json.loads((tmp_path / "out" / "score.json").read_text("utf-8"))
     scores = {row["mapping"]: row["score"] for row in results["overview"]}
     assert scores["mine.py"] == scores["joints"]

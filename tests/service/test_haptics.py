@@ -143,6 +143,22 @@ def test_haptics_over_websocket(server: Server) -> None:
     assert replies["haptics"]["forces"] == FORCES
 
 
+def test_haptics_over_websocket_reach_who_is_of_another_worker() -> None:
+    with (
+        serving(**WEB, workers=2, max_load=1.0) as several,
+        connected(several, name="first"),
+        connected(several, name="web", is_shared=True),
+    ):
+        replies = asyncio.run(talk(several, "web"))
+    assert replies["haptics"]["forces"] == FORCES
+
+
+def test_a_state_says_for_how_long_haptics_count(server: Server) -> None:
+    with connected(server, name="life") as owner, client_of(server) as other:
+        assert owner.status().haptics_life == HAPTICS_LIFE
+        assert other.status().haptics_life == HAPTICS_LIFE
+
+
 def test_others_may_not_say_what_a_private_session_feels(server: Server) -> None:
     with connected(server, name="private"):
         replies = asyncio.run(talk(server, "private"))

@@ -127,6 +127,26 @@ def test_samples_without_a_hand_do_not_count_in_the_measurement() -> None:
     np.testing.assert_allclose(about.lengths.segments, own.segments, atol=1e-6)
 
 
+@pytest.mark.parametrize("mode", ["stopped", "not_following"])
+def test_a_lost_hand_does_not_hide_that_the_robot_is_halted(mode: str) -> None:
+    session = make_session(input="landmarks", hand_length=0.19)
+    sample = Sampler()
+    for i in range(CALIBRATION_SAMPLES):
+        session.step(sample(i * PERIOD, landmarks=landmarks_of()), i * PERIOD)
+    assert session.mode == "following"
+    if mode == "stopped":
+        session.stop()
+    else:
+        session._measured = session._commanded.q
+        session._lose()
+    for i in range(CALIBRATION_SAMPLES, CALIBRATION_SAMPLES + 5):
+        command = session.step(sample(i * PERIOD, valid=False), i * PERIOD)
+        # Drivers take the torque away by this word, and give it to the motors of a robot that
+        # only holds.
+        assert command.status == mode
+        assert "missing" in command.flags
+
+
 def test_a_known_hand_needs_no_measuring() -> None:
     request = opening(input="landmarks", hand_length=0.19)
     hands: Hands = prepare_hands(request, CACHE, defer=run_now)

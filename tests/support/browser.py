@@ -212,6 +212,36 @@ class Browser:
                 clickCount=1,
             )
 
+    def click_on(self, selector: str) -> None:
+        """Click in the middle of an element that is enabled, as a user does.
+
+        The page may move the element after its place was read, so look whether the click reached
+        it.
+
+        Args:
+            selector: Selector of the element, in CSS.
+        """
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.evaluate(
+            "window.wasClicked = false;"
+            f"{element}.addEventListener('click', () => {{ window.wasClicked = true; }},"
+            " { capture: true, once: true }); 0"
+        )
+
+        def is_clicked() -> bool:
+            if self.evaluate(f"{element}.disabled"):
+                return False
+            x, y = self.evaluate(
+                f"(() => {{ const element = {element};"
+                "element.scrollIntoView({block: 'center'});"
+                "const box = element.getBoundingClientRect();"
+                "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+            )
+            self.click(x, y)
+            return bool(self.evaluate("window.wasClicked"))
+
+        self._wait(is_clicked, f"no click reaches {selector}")
+
     def screenshot(self) -> tuple[bytes, np.ndarray]:
         """Return the page as the bytes of a PNG file and as pixels, shape (height, width, 3)."""
         from PIL import Image

@@ -821,6 +821,9 @@ class State(Reply):
             session: what its samples took.
         samples_per_second: Samples that the server mapped in the last second; only of the server.
         busy: Names of the sessions whose samples are answered `busy`.
+        fingers: Finger of each joint of the session's robot that moves one finger alone, as haptics
+            name it.
+        haptics_life: Time after which haptics no longer count [s].
     """
 
     version: str
@@ -842,6 +845,8 @@ class State(Reply):
     load: float | None = None
     samples_per_second: float = 0.0
     busy: Names = ()
+    fingers: dict[str, str] = {}
+    haptics_life: float = HAPTICS_LIFE
 
 
 class Haptics(Reply):

@@ -1,7 +1,7 @@
 """What the fingers of a robot feel, on its way from a driver to who subscribed to it."""
 
 from handmap_core.client.messages import HAPTICS_END, Haptics, Subscribe, Touch
-from handmap_qp.hands import Hand, Names
+from handmap_qp.hands import Hand, Names, finger_by_joint
 from .safety import refuse_if
 
 
@@ -13,12 +13,31 @@ def finger_names(robot: Hand) -> Names:
     """
     return tuple(
         dict.fromkeys(
-            f"{hand.side}.{point.finger}" if robot.parts else str(point.finger)
+            _name(robot, hand, point.finger)
             for hand in robot.hands
             for point in hand.reference_points
             if point.finger is not None
         )
     )
+
+
+def fingers_by_joint(robot: Hand) -> dict[str, str]:
+    """Return the finger of each joint that moves one finger alone, as haptics name it.
+
+    A driver takes them from the state of its session: it need not have the robot's description.
+
+    Args:
+        robot: See `finger_names`.
+    """
+    return {
+        joint: _name(robot, hand, finger)
+        for hand in robot.hands
+        for joint, finger in finger_by_joint(hand).items()
+    }
+
+
+def _name(robot: Hand, hand: Hand, finger: str) -> str:
+    return f"{hand.side}.{finger}" if robot.parts else finger
 
 
 def haptics_of(request: Touch, name: str, robot: Hand) -> Haptics:

@@ -61,6 +61,7 @@ from handmap_qp.stream import (
     RobotGripFollower,
 )
 from handmap_qp.trackers import LAYOUTS
+from .haptics import fingers_by_joint
 from .opening import (
     Calibration,
     Gripping,
@@ -437,6 +438,7 @@ class Session:
             about=About(**about),
             fist=self._fist,
             assumed_speed=self._assumed_speed,
+            fingers=fingers_by_joint(self.robot),
         )
 
     def step(self, sample: Step, now: float) -> Command:
@@ -488,8 +490,9 @@ class Session:
             else:
                 self._commanded.brake(self._when)
             flags += step.stages.summary.flags
-            if self._state.is_halted:
-                status = self._state.mode
+        if self._state.is_halted:
+            # Also where the hand is lost: drivers stop the motors by this word.
+            status = self._state.mode
         trust = self._trust(step, rule, humans)
         diagnostics = {} if is_held else self._diagnostics(step, sample, humans)
         return self._command(now, status, flags, sample, **trust, **diagnostics)

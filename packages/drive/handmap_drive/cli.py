@@ -22,7 +22,7 @@ from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
 from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, expect, warn
-from handmap_qp.hands import finger_by_joint, load_hand
+from handmap_qp.hands import load_hand
 from handmap_qp.output_files import check_output
 from .drive import HOTTEST, Loop
 from .driver import Driver
@@ -39,12 +39,12 @@ _HELD = 0.25
 def finger_loads(client: Client, driver: Driver) -> FingerLoads:
     """Return what turns torques of a driver into loads of the watched robot's fingers.
 
+    The service says which finger a joint belongs to: it knows hands that are not installed here.
+
     Raises:
-        InvalidInputError: If the robot has several hands, or no motor belongs to a finger.
+        InvalidInputError: If no motor belongs to a finger.
     """
-    about = client.status().about
-    assert about is not None
-    fingers = finger_by_joint(load_hand(about["robot"]))
+    fingers = client.status().fingers
     is_any = any(name in fingers for name in driver.joint_names)
     expect(is_any, "--haptics", "motors of fingers that the hand names")
     return FingerLoads(driver.joint_names, fingers)
@@ -215,11 +215,11 @@ class Drive:
             if self.tuning:
                 joints = compensated(driver, self.tuning, self.down)
             effort = effort_of(driver, self.effort)
+            loads = finger_loads(client, driver) if self.haptics else None
             driver.connect()
             if self.tuning:
                 tell_stiffness(client, self.tuning)
             recorder = Recorder(driver.joint_names) if log else None
-            loads = finger_loads(client, driver) if self.haptics else None
             loop = Loop(
                 driver, command, effort, self.temperature, joints, recorder, loads
             )

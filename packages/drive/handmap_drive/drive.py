@@ -17,6 +17,7 @@ from .gate import Gate
 from .joint_map import Direct, JointMap
 from .loads import FingerLoads
 from .recorder import Recorder
+from .reports import Report
 
 SILENCE = 0.08
 """Time without a command after which motors only hold [s]."""
@@ -39,8 +40,6 @@ HOTTEST = 60.0
 """Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
 _BEYOND = 0.05
 """How far beyond the range of its motor a command is reported [rad]."""
-_REFUSED = 10.0
-"""Time after which a session is told where the joints are that refused to be told [s]."""
 _LOGGED = 10_000
 """Turns of which the summary is: the last minutes."""
 
@@ -145,9 +144,9 @@ class Loop:
         self._epoch = command.epoch
         self._age = np.nan
         self._is_clipped = False
-        # The session may refuse to be told where the joints are.
-        self._tells_from = now
-        self._is_refused = False
+        # What the session is told.
+        self._places = Report("where the joints are")
+        self._touches = Report("what the fingers feel")
         # The loop itself.
         self.state = State.STOPPED
         self._problem = ""
@@ -182,24 +181,14 @@ class Loop:
             # Joints that were not read now are not reported as fresh.
             if self._is_read:
                 self._tell(client, monotonic())
-                if self._loads:
-                    client.touch(efforts=self._loads.of(self._torque), time=monotonic())
 
     def _tell(self, client: Client, now: float) -> None:
-        """Say where the joints are, at a time [s, monotonic].
-
-        A session of another client takes that only if it is shared. If it refuses, warn once, and
-        ask again every `_REFUSED` seconds: the next session of that name may be shared.
-        """
-        if now < self._tells_from:
-            return
-        refusal = client.measured(self.measured)
-        if not refusal or refusal.code != "denied":
-            return
-        self._tells_from = now + _REFUSED
-        if not self._is_refused:
-            self._is_refused = True
-            warn(f"the session does not take where the joints are: {refusal.message}")
+        """Say where the joints are and what fingers feel, at a time [s, monotonic]."""
+        if self._places.is_due(now):
+            self._places.note(client.measured(self.measured), now)
+        if self._loads and self._touches.is_due(now):
+            efforts = self._loads.of(self._torque)
+            self._touches.note(client.touch(efforts=efforts, time=now), now)
 
     @property
     def measured(self) -> list[float]:

@@ -54,6 +54,10 @@ HANDS = (
     "svh_right",
 )
 """Hands with thumbs of different kinds."""
+_ONE_SEED = (
+    "one seed does not show which differences are chance, so that all methods share the "
+    "first place: give three by --seeds 0 1 2"
+)
 
 
 class Amount(NamedTuple):
@@ -225,6 +229,8 @@ class Score:
         tables = {title: results["overview"]}
         written = map(self.out.joinpath, pages)
         print_result(results, tables, written, as_json=self.json)
+        if len(seeds) == 1:
+            warn(_ONE_SEED)
 
     def _score_tasks(self, tasks: Names) -> None:
         """Run tasks in place of gestures.

@@ -1,6 +1,5 @@
 // What the robot's fingers feel: a bar for each finger on the page, and a pulse of controllers.
 
-const LIFE = 200; // time after which what a finger felt no longer counts [ms]; HAPTICS_LIFE
 const FORCE = [0.1, 5.0]; // force that is felt first, and that is felt most [N]
 const EFFORT = [0.05, 1.0]; // the same of a load, as a share of the largest
 const PERIOD = 50; // time between pulses [ms]
@@ -11,10 +10,10 @@ function scaled(value, [first, last]) {
   return Math.min(1, Math.max(0, (value - first) / (last - first)));
 }
 
-/** Strength by finger of the newest haptics of a session; none if they are too old. */
-export function strengths(haptics, now = performance.now()) {
+/** Strength by finger of the newest haptics of a session; none if they are older than `life` [ms]. */
+function strengths(haptics, life) {
   const found = new Map();
-  if (!haptics || now - haptics.arrived > LIFE) return found;
+  if (!haptics || performance.now() - haptics.arrived > life) return found;
   const add = (values, range) => {
     for (const [finger, value] of Object.entries(values ?? {})) {
       found.set(finger, Math.max(found.get(finger) ?? 0, scaled(value, range)));
@@ -60,9 +59,10 @@ function pulse(gamepad, strength) {
 
 /** Shows what fingers feel in the cards of the hands, and gives it to controllers. */
 export class Haptics {
-  constructor(cards, sessionOf, xrSession) {
+  constructor(cards, sessionOf, service, xrSession) {
     this.cards = cards;
     this.sessionOf = sessionOf;
+    this.service = service; // says for how long haptics count
     this.xrSession = xrSession;
     this.bars = new Map(cards.map((card) => [card, this.makeBars(card)]));
     setInterval(() => this.refresh(), PERIOD);
@@ -79,7 +79,7 @@ export class Haptics {
   refresh() {
     const strongest = new Map(); // by gamepad: one without a hand gets the stronger of both
     for (const card of this.cards) {
-      const found = ofSide(strengths(this.sessionOf(card).haptics), card.side);
+      const found = ofSide(strengths(this.sessionOf(card).haptics, this.service.hapticsLife), card.side);
       this.show(this.bars.get(card), found);
       const strength = Math.max(0, ...found.values());
       if (strength === 0) continue;

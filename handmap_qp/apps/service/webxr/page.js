@@ -30,11 +30,11 @@ const service = new Service(`${scheme}//${location.host}/`);
 const robots = new Robots(service);
 const cards = SIDES.map((side) => makeCard(side));
 const both = { select: find("#both"), kind: "robot", session: new RobotSession(service, LAYOUT), unknown: "" };
-const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
+const tracking = new Tracking(new Scene(() => [...cards.map(describeInHeadset), describeStop()]));
 let modes = null;
 let failure = "";
 
-new Haptics(cards, sessionOf, () => tracking.session);
+new Haptics(cards, sessionOf, service, () => tracking.session);
 service.sessions.push(both.session);
 both.select.onchange = () => { both.unknown = ""; chooseAll(); };
 
@@ -83,10 +83,14 @@ function offer(one, robots, missing, usual) {
   chooseAll();
 }
 
-/** Lead the chosen robots while the headset tracks: one with both hands, or one with each. */
+/**
+ * Lead the chosen robots while the headset tracks: one with both hands, or one with each. A session
+ * that an emergency stop holds stays after that, so that the page can clear the stop.
+ */
 function chooseAll() {
   for (const one of [both, ...cards]) {
-    const isUsed = tracking.session && (one === both || !both.select.value);
+    const isKept = tracking.session || one.session.isStopped;
+    const isUsed = isKept && (one === both || !both.select.value);
     const robot = isUsed ? one.select.value : "";
     if (robot !== one.session.robot) one.session.lead(robot);
   }
@@ -109,11 +113,11 @@ function stateOf(card) {
   const { select, unknown } = both.select.value || both.unknown ? both : card;
   if (unknown) return ["error", unknown];
   if (!select.value) return ["off", "no robot chosen"];
+  if (session.isStopped && service.isConnected) return ["error", "emergency stop: the robot holds"];
   if (!tracking.session) return ["off", "not started"];
   if (!service.isConnected) return ["error", "not connected: the robot holds"];
   if (session.error) return ["error", session.error];
   if (!session.isOpen) return ["waiting", `opening ${session.robot}`];
-  if (last?.status === "stopped") return ["error", "emergency stop: the robot holds"];
   if (last?.status === "not_following") {
     return ["error", "the robot's joints do not follow: it holds until Engage"];
   }
@@ -142,6 +146,15 @@ function describeInHeadset(card) {
     side: card.side, colour: COLOURS[state],
     text: [`${title}: ${words}, ${rateOf(card)} Hz`, robot ? `${robot}${status}` : ""],
   };
+}
+
+/** What the headset shows of the emergency stop, in lines that fit on its panel. */
+function describeStop() {
+  const stop = stopState();
+  let text = ["Emergency stop: touch the red disc,", "or press B or Y. It stops every robot."];
+  if (robots.isUnanswered) text = [stop[1], "Use the robot's own emergency stop."];
+  else if (stop) text = [stop[1], "Leave VR, then Clear the stop on the page."];
+  return { side: null, colour: COLOURS[stop ? "error" : "off"], text };
 }
 
 /** Whether this page leads the session of a name. */
@@ -200,6 +213,8 @@ function overallState() {
 }
 
 function refresh() {
+  // A session that a stop kept ends when the stop is cleared.
+  if (!tracking.session) chooseAll();
   const [state, line, advice] = overallState();
   find("#overview").dataset.state = state;
   find("#state").textContent = line;
@@ -349,6 +364,12 @@ function drawHand(canvas, joints) {
   }
 }
 
+/** Emergency stop of every robot of the service. */
+function stopAll() {
+  robots.stop();
+  refresh();
+}
+
 async function start(mode) {
   failure = "";
   for (const card of cards) card.seen = false;
@@ -366,14 +387,12 @@ async function start(mode) {
 find("#start-vr").onclick = () => start("vr");
 find("#start-ar").onclick = () => start("ar");
 find("#end").onclick = () => tracking.stop();
-find("#stop").onclick = () => {
-  robots.stop();
-  refresh();
-};
+find("#stop").onclick = stopAll;
 find("#token").onchange = (event) => {
   service.token = event.target.value.trim();
   service.connect();
 };
+tracking.addEventListener("stop", stopAll);
 tracking.addEventListener("frame", (event) => takeFrame(event.detail));
 tracking.addEventListener("end", () => {
   for (const card of cards) card.joints = null;

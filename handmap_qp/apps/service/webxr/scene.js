@@ -1,7 +1,9 @@
-// What the headset shows: the joints of both hands, and a panel with the state of each.
+// What the headset shows: the joints of both hands, a panel with the state of each and of the
+// emergency stop, and the disc that is the emergency stop.
 
-const PANEL = { width: 0.75, height: 0.25, distance: 1.0, drop: -0.1 }; // [m]
-const PIXELS = { width: 1152, height: 384 };
+const PANEL = { width: 0.75, height: 0.375, distance: 1.0, drop: -0.1 }; // [m]
+const PIXELS = { width: 1152, height: 576 };
+const DISC_PIXELS = { width: 256, height: 256 };
 const POINT_SIZE = 0.009; // [m]
 const PANEL_PERIOD = 250; // [ms]
 
@@ -18,13 +20,13 @@ void main() {
 }`;
 const FRAGMENT = `
 precision mediump float;
-uniform sampler2D panel;
+uniform sampler2D board;
 uniform vec4 colour;
-uniform bool isPanel;
+uniform bool isBoard;
 varying vec2 place;
 void main() {
-  gl_FragColor = isPanel ? texture2D(panel, place) : colour;
-  if (!isPanel && length(gl_PointCoord - 0.5) > 0.5) discard;
+  gl_FragColor = isBoard ? texture2D(board, place) : colour;
+  if (isBoard ? gl_FragColor.a < 0.5 : length(gl_PointCoord - 0.5) > 0.5) discard;
 }`;
 
 function makeProgram(gl) {
@@ -42,11 +44,69 @@ function makeProgram(gl) {
   return program;
 }
 
+/** A rectangle in the scene with a picture, upright. */
+class Board {
+  /** @param pixels width and height of the picture, a canvas that is painted by `paint`. */
+  constructor(gl, pixels) {
+    this.gl = gl;
+    this.canvas = Object.assign(document.createElement("canvas"), pixels);
+    this.corners = gl.createBuffer();
+    this.texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  }
+
+  /** Put its middle [m] somewhere, its width [m] along a horizontal direction (x, z). */
+  place(middle, right, { width, height }) {
+    const corners = [];
+    for (const [u, v] of [[0, 0], [1, 0], [0, 1], [1, 1]]) {
+      const across = (u - 0.5) * width;
+      corners.push(
+        middle[0] + right[0] * across, middle[1] + (v - 0.5) * height,
+        middle[2] + right[1] * across, u, v,
+      );
+    }
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.corners);
+    this.gl.bufferData(this.gl.ARRAY_BUFFER, new Float32Array(corners), this.gl.DYNAMIC_DRAW);
+  }
+
+  paint(paint) {
+    const { gl } = this;
+    paint(this.canvas.getContext("2d"));
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, this.canvas);
+  }
+
+  draw() {
+    const { gl } = this;
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
+    gl.enableVertexAttribArray(0);
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 20, 0);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 20, 12);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+  }
+}
+
+function paintDisc(context) {
+  const { width, height } = DISC_PIXELS;
+  context.fillStyle = "#c81e1e";
+  context.beginPath();
+  context.arc(width / 2, height / 2, width / 2, 0, 2 * Math.PI);
+  context.fill();
+  context.fillStyle = "#ffffff";
+  context.textAlign = "center";
+  context.font = "bold 72px system-ui, sans-serif";
+  context.fillText("STOP", width / 2, height / 2 + 26, width);
+}
+
 export class Scene {
   /** @param describe returns [{ text, colour: [r, g, b], side }] for the panel and the joints. */
   constructor(describe) {
     this.describe = describe;
-    this.text = Object.assign(document.createElement("canvas"), PIXELS);
   }
 
   /** Make what the session draws with; called once for each session. */
@@ -57,25 +117,26 @@ export class Scene {
     this.gl = gl;
     this.program = makeProgram(gl);
     this.points = gl.createBuffer();
-    this.panel = gl.createBuffer();
-    this.texture = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
     gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, true);
+    this.panel = new Board(gl, PIXELS);
+    this.disc = new Board(gl, DISC_PIXELS);
+    this.disc.paint(paintDisc);
     this.painted = -Infinity;
     this.hasPlace = false;
     session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl) });
   }
 
-  draw(frame, space, hands) {
+  /** Draw a frame for its viewer's pose, if that is known. */
+  draw(frame, pose, hands, stopButton) {
     const { gl } = this;
     const layer = frame.session.renderState.baseLayer;
-    const pose = frame.getViewerPose(space);
     if (!pose || !layer) return;
     const states = this.describe();
     if (!this.hasPlace) this.placePanel(pose.transform.matrix);
+    const size = 2 * stopButton.radius;
+    if (stopButton.middle) {
+      this.disc.place(stopButton.middle, stopButton.right, { width: size, height: size });
+    }
     if (performance.now() - this.painted > PANEL_PERIOD) this.paint(states);
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     const isClear = frame.session.environmentBlendMode !== "opaque";
@@ -90,14 +151,15 @@ export class Scene {
       gl.uniformMatrix4fv(uniform("projection"), false, view.projectionMatrix);
       gl.uniformMatrix4fv(uniform("view"), false, view.transform.inverse.matrix);
       gl.uniform1f(uniform("size"), 0.5 * POINT_SIZE * height);
-      gl.uniform1i(uniform("isPanel"), 0);
+      gl.uniform1i(uniform("isBoard"), 0);
       for (const { side, colour } of states) {
         if (!hands[side]) continue;
         gl.uniform4f(uniform("colour"), ...colour, 1);
         this.drawPoints(hands[side]);
       }
-      gl.uniform1i(uniform("isPanel"), 1);
-      this.drawPanel();
+      gl.uniform1i(uniform("isBoard"), 1);
+      this.panel.draw();
+      if (stopButton.middle) this.disc.draw();
     }
   }
 
@@ -111,17 +173,6 @@ export class Scene {
     gl.drawArrays(gl.POINTS, 0, joints.length);
   }
 
-  drawPanel() {
-    const { gl } = this;
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.panel);
-    gl.enableVertexAttribArray(0);
-    gl.enableVertexAttribArray(1);
-    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 20, 0);
-    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 20, 12);
-    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
-  }
-
   /** Put the panel in front of the viewer, upright, where it then stays. */
   placePanel(viewer) {
     const [sideX, sideZ] = [viewer[0], viewer[2]];
@@ -131,31 +182,20 @@ export class Scene {
       viewer[12] + right[1] * PANEL.distance, viewer[13] - PANEL.drop,
       viewer[14] - right[0] * PANEL.distance,
     ];
-    const corners = [];
-    for (const [u, v] of [[0, 0], [1, 0], [0, 1], [1, 1]]) {
-      const across = (u - 0.5) * PANEL.width;
-      corners.push(
-        middle[0] + right[0] * across, middle[1] + (v - 0.5) * PANEL.height,
-        middle[2] + right[1] * across, u, v,
-      );
-    }
-    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.panel);
-    this.gl.bufferData(this.gl.ARRAY_BUFFER, new Float32Array(corners), this.gl.STATIC_DRAW);
+    this.panel.place(middle, right, PANEL);
     this.hasPlace = true;
   }
 
   paint(states) {
-    const { gl } = this;
-    const context = this.text.getContext("2d");
-    context.fillStyle = "#1b212b";
-    context.fillRect(0, 0, PIXELS.width, PIXELS.height);
-    context.font = "52px system-ui, sans-serif";
-    states.forEach(({ text, colour }, row) => {
-      context.fillStyle = `rgb(${colour.map((value) => Math.round(255 * value)).join(",")})`;
-      text.forEach((line, i) => context.fillText(line, 40, 70 + 175 * row + 60 * i, PIXELS.width - 80));
+    this.panel.paint((context) => {
+      context.fillStyle = "#1b212b";
+      context.fillRect(0, 0, PIXELS.width, PIXELS.height);
+      context.font = "52px system-ui, sans-serif";
+      states.forEach(({ text, colour }, row) => {
+        context.fillStyle = `rgb(${colour.map((value) => Math.round(255 * value)).join(",")})`;
+        text.forEach((line, i) => context.fillText(line, 40, 80 + 180 * row + 60 * i, PIXELS.width - 80));
+      });
     });
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, this.text);
     this.painted = performance.now();
   }
 }

@@ -86,6 +86,11 @@ export class HandSession {
     return handSample(hands[this.side]);
   }
 
+  /** Whether an emergency stop holds the robot. */
+  get isStopped() {
+    return this.last?.status === "stopped";
+  }
+
   /** What the newest command says of a hand. */
   lastOf() {
     return this.last;
@@ -175,6 +180,7 @@ export class Service extends EventTarget {
     this.twoHanded = []; // robots that both hands lead
     this.missing = {}; // why each robot hand that is not installed cannot be led
     this.version = "";
+    this.hapticsLife = 0; // time after which what a finger felt no longer counts [ms]
     this.sessions = [];
     this.isConnected = false;
     this.attempts = 0;
@@ -233,6 +239,7 @@ export class Service extends EventTarget {
       this.twoHanded = reply.two_handed ?? [];
       this.missing = reply.missing;
       this.version = reply.version;
+      this.hapticsLife = 1000 * reply.haptics_life;
       this.isConnected = true;
       this.attempts = 0;
       // A lost connection leaves the session behind: go on where its robot is.

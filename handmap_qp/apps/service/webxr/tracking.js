@@ -1,4 +1,6 @@
-// The hands of a headset: an immersive session of WebXR with hand tracking.
+// The hands of a headset: an immersive session of WebXR with hand tracking, and its emergency stop.
+
+import { StopButton } from "./stop_button.js";
 
 /** Positions of a hand's joints in the order of WebXR [m], or null if one is not tracked. */
 function jointPositions(frame, hand, space) {
@@ -17,6 +19,7 @@ export class Tracking extends EventTarget {
     super();
     this.scene = scene; // draws in the headset
     this.session = null;
+    this.stopButton = new StopButton();
   }
 
   /** Which of immersive-vr and immersive-ar this browser offers. */
@@ -41,6 +44,7 @@ export class Tracking extends EventTarget {
       throw error;
     }
     this.session = session;
+    this.stopButton.reset();
     session.addEventListener("end", () => {
       this.session = null;
       this.dispatchEvent(new Event("end"));
@@ -60,8 +64,13 @@ export class Tracking extends EventTarget {
     for (const source of session.inputSources) {
       if (source.hand) hands[source.handedness] = jointPositions(frame, source.hand, this.space);
     }
+    const pose = frame.getViewerPose(this.space);
+    if (pose) this.stopButton.follow(pose.transform.matrix);
     // Events are dispatched at once, so the frame is still active.
+    if (this.stopButton.isPressed(time, hands, session.inputSources)) {
+      this.dispatchEvent(new Event("stop"));
+    }
     this.dispatchEvent(new CustomEvent("frame", { detail: { time, hands } }));
-    this.scene.draw(frame, this.space, hands);
+    this.scene.draw(frame, pose, hands, this.stopButton);
   }
 }
