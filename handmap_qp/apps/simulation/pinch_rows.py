@@ -4,26 +4,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import binomtest
 
+from handmap_qp.apps.success_rate import success_rate
 from handmap_qp.apps.tables import Row
 from handmap_qp.mapping import surface
 from .pinch import PinchOutcome, PinchTrial
-
-
-def success_rate(held: int, count: int) -> tuple[float, float, float]:
-    """Return a success rate with its 95 % interval (Wilson).
-
-    Args:
-        held: Number of successes.
-        count: Number of trials.
-
-    Returns:
-        Rate, lower and upper end.
-    """
-    found = binomtest(held, count)
-    interval = found.proportion_ci(method="wilson")
-    return found.statistic, interval.low, interval.high
 
 
 def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
