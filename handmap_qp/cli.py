@@ -91,6 +91,7 @@ _MODULES = {
     "batch": "datasets.batch",
     "report": "datasets.report",
     "compare": "offline.compare",
+    "study": "study.cli",
     "view": "viewer.cli",
     "hands list": "onboarding.cli",
     "hands show": "onboarding.cli",

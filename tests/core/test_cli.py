@@ -342,7 +342,7 @@ def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
 
 
 COMMANDS = (
-    *("", "demo", "retarget", "calibrate", "compare", "view"),
+    *("", "demo", "retarget", "calibrate", "compare", "study", "view"),
     *(
         "hands list",
         "hands show",

@@ -6,28 +6,10 @@ from statistics import NormalDist
 
 import numpy as np
 
+from handmap_qp.apps.success_rate import success_rate
 from handmap_qp.apps.tables import Row
 from handmap_qp.mapping import surface
 from .pinch import PinchOutcome, PinchTrial
-
-
-def success_rate(held: int, count: int) -> tuple[float, float, float]:
-    """Return a success rate with its 95 % interval (Wilson).
-
-    Args:
-        held: Number of successes.
-        count: Number of trials.
-
-    Returns:
-        Rate, lower and upper end.
-    """
-    rate = held / count
-    z = NormalDist().inv_cdf(0.975)
-    middle = rate + z**2 / (2.0 * count)
-    reach = z * math.sqrt((rate * (1.0 - rate) + z**2 / (4.0 * count)) / count)
-    low, high = ((middle + sign * reach) / (1.0 + z**2 / count) for sign in (-1, 1))
-    # Rounding must not leave these ends.
-    return rate, low if held else 0.0, high if held < count else 1.0
 
 
 def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:

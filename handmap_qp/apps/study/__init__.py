@@ -1,0 +1,1 @@
+"""Results of a user study of two mappings: `handmap study`."""
