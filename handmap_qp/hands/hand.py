@@ -444,6 +444,7 @@ class Hand:
             InvalidInputError: On a wrong shape, numbers that are not finite, or a wrong wrist pose.
         """
         angles = as_floats(q, "q", shape=(len(self.joint_names),), is_finite=True)
+        pose = None
         if wrist_pose is not None:
             pose = check_pose(wrist_pose, "wrist_pose")
             expected = (
@@ -455,7 +456,7 @@ class Hand:
         vector[self._moving_q] = positions[: len(self._moving_q)]
         if self.is_floating:
             root = self._wrist_to_root
-            if wrist_pose is not None:
+            if pose is not None:
                 root = pin.SE3(pose) * root
             vector[:7] = pin.SE3ToXYZQUAT(root)
         return vector

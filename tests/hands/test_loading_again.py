@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp import HandError, load_hand
+from handmap_qp import Hand, HandError, load_hand
 from handmap_qp.hands import library, load_robot, read_hand_spec
 from handmap_qp.hands.library import missing_hands
 from handmap_qp.hands.sources import urdf_directory
@@ -67,6 +67,11 @@ def test_a_document_and_a_robot_are_their_readers_own() -> None:
     assert len(parse_urdf(text))
 
 
+def urdf_of(hand: Hand) -> Path:
+    """Return the file of a hand's URDF."""
+    return Path(hand.spec.directory or "", hand.spec.urdf)
+
+
 def test_a_changed_description_is_read_again(folder: Path) -> None:
     assert load_hand(NAME).side == "right"
     edited(folder / "hand.yaml", lambda text: text.replace("side: right", "side: left"))
@@ -77,7 +82,7 @@ def test_a_changed_robot_is_read_again(folder: Path) -> None:
     before = load_hand(NAME)
     joint = before.joint_names[0]
     edited(
-        before.spec.directory / before.spec.urdf,
+        urdf_of(before),
         lambda text: text.replace(f'name="{joint}"', 'name="renamed"'),
     )
     with pytest.raises(HandError, match="renamed"):
@@ -87,7 +92,7 @@ def test_a_changed_robot_is_read_again(folder: Path) -> None:
 def test_a_lost_robot_is_an_error_and_missing(folder: Path) -> None:
     hand = load_hand(NAME)
     assert not missing_hands()
-    (hand.spec.directory / hand.spec.urdf).unlink()
+    urdf_of(hand).unlink()
     with pytest.raises(HandError, match="cannot be read"):
         load_hand(NAME)
     assert missing_hands() == {NAME: "its URDF is missing"}

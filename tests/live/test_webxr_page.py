@@ -27,7 +27,6 @@ from webxr_pages import (
     LAYOUT,
     RATE,
     TOKEN,
-    click,
     open_page,
     show_hands,
     start,
@@ -68,71 +67,12 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
-<<<<<<< HEAD
-=======
-def webxr_joints(side: str) -> np.ndarray:
-    """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
-    samples = [each for each in sample_columns(moving_hand(40, side)) if each.valid]
-    return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
-
-
-def open_page(
-    browser: Browser,
-    server: Server,
-    *,
-    more: str = "",
-    token: str = TOKEN,
-    words: str = "?right=allegro_right&left=three_finger",
-) -> None:
-    """Load the page with an emulated headset, changed by `more` before the page's own script."""
-    browser.open("about:blank")
-    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)[
-        "identifier"
-    ]
-    browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}#token={token}")
-    browser.wait_for("document.querySelector('#left .state')?.textContent")
-    browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
-
-
-def text(browser: Browser, selector: str) -> str:
-    return browser.evaluate(
-        f"document.querySelector({json.dumps(selector)}).textContent"
-    )
-
-
-def wait_for_text(browser: Browser, selector: str, part: str) -> None:
-    query = f"document.querySelector({json.dumps(selector)}).textContent"
-    browser.wait_for(f"{query}.includes({json.dumps(part)})")
-
-
-def show_hands(browser: Browser, *sides: str) -> None:
-    """Let the emulated headset see moving hands, to and fro without jumps."""
-    joints = {side: webxr_joints(side).tolist() for side in sides}
-    browser.evaluate(
-        f"window.joints = {json.dumps(joints)}; window.sample = 0; emulated.hands = {{}};"
-        "emulated.beforeFrame = () => { sample += 1; for (const side in joints)"
-        " emulated.hands[side] = joints[side][Math.abs(sample % 76 - 38)]; }; 0"
-    )
-
-
->>>>>>> ways
 def sessions(server: Server) -> dict[str, Session]:
     sessions = server.dispatcher.sessions
     found = in_loop(server, lambda: list(sessions.by_secret.values()))
     return {session.name: session for session in found}
 
 
-<<<<<<< HEAD
-=======
-def start(browser: Browser, server: Server, **choices: Any) -> None:
-    open_page(browser, server, **choices)
-    browser.evaluate(f"emulated.rate = {RATE}; 0")
-    wait_for_text(browser, "#state", "Ready")
-    browser.click_on("#start-vr")
-    wait_for_text(browser, "#state", "Waiting for hands")
-
-
->>>>>>> ways
 def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     start(browser, server, words="?robot=g1")
     show_hands(browser, "right", "left")

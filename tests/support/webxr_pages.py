@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from browser import Browser
 from live_cases import moving_hand
-from patience import wait_until
 
 from handmap_core.human.recording import sample_columns
 from handmap_qp.apps.service.server import Server
@@ -53,33 +52,6 @@ def text(browser: Browser, selector: str) -> str:
     )
 
 
-def click(browser: Browser, selector: str) -> None:
-    """Click in the middle of an element, as a user does.
-
-    The page may move the element after its place was read, so look whether the click reached it.
-    """
-    element = f"document.querySelector({json.dumps(selector)})"
-    browser.evaluate(
-        "window.wasClicked = false;"
-        f"{element}.addEventListener('click', () => {{ window.wasClicked = true; }},"
-        " { capture: true, once: true }); 0"
-    )
-
-    def is_clicked() -> bool:
-        if browser.evaluate(f"{element}.disabled"):
-            return False
-        x, y = browser.evaluate(
-            f"(() => {{ const element = {element};"
-            "element.scrollIntoView({block: 'center'});"
-            "const box = element.getBoundingClientRect();"
-            "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
-        )
-        browser.click(x, y)
-        return browser.evaluate("window.wasClicked")
-
-    wait_until(is_clicked, f"no click reaches {selector}")
-
-
 def wait_for_text(browser: Browser, selector: str, part: str) -> None:
     query = f"document.querySelector({json.dumps(selector)}).textContent"
     browser.wait_for(f"{query}.includes({json.dumps(part)})")
@@ -99,5 +71,5 @@ def start(browser: Browser, server: Server, **choices: Any) -> None:
     open_page(browser, server, **choices)
     browser.evaluate(f"emulated.rate = {RATE}; 0")
     wait_for_text(browser, "#state", "Ready")
-    click(browser, "#start-vr")
+    browser.click_on("#start-vr")
     wait_for_text(browser, "#state", "Waiting for hands")
