@@ -53,10 +53,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(folder: Path) -> Iterator[str]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_port}/"
-    server.shutdown()
+    handler = partial(Quiet, directory=folder)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,13 @@ def test_a_fingertip_is_dragged(page: Browser) -> None:
     ends = at, [at[0], at[1] + 70]
     for kind, (x, y) in zip(("mousePressed", "mouseMoved"), ends, strict=True):
         page.call(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button="left",
+            buttons=1,
+            clickCount=1,
         )
     wait_to_move(page)
     page.wait_for(
@@ -145,7 +152,7 @@ def test_what_a_camera_or_a_headset_sees_leads_the_robot(
     wait_to_move(page)
     page.evaluate(f"playground['{name}'] = {{ landmarks: null, stop() {{}} }}")
     page.wait_for("document.body.dataset.held === 'true'")
-    choose(page, "recording")
+    page.evaluate("playground.lead('recording')")
     page.wait_for("document.body.dataset.held === 'false'")
 
 
