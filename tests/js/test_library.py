@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from run_cases import FAULTS, mapper_of, recording_with
-from wasm_library import PACKAGE, compiled_library
+from wasm_library import PACKAGE, ROOT, compiled_library
 
 from handmap_qp import Follower, HandMapper
 from handmap_qp.apps.saving import saved_bytes
@@ -55,7 +55,7 @@ def outcome(
         for each in samples
     ]
     (folder / "samples.json").write_text(json.dumps(given))
-    program = Path(__file__).with_name("follow.mjs")
+    program = ROOT / "tests" / "support" / "follow.mjs"
     files = [PACKAGE / "src" / "handmap.js", library, folder / "hand"]
     done = subprocess.run(
         ["node", program, *files, folder / "samples.json"],

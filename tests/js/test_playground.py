@@ -9,13 +9,12 @@ import sys
 import threading
 from collections.abc import Iterator
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import Browser, QuietHandler, find_chromium
 from wasm_library import PACKAGE, ROOT, compiled_library
 
 from handmap_qp import load_hand
@@ -23,13 +22,6 @@ from handmap_qp import load_hand
 pytestmark = pytest.mark.slow
 HANDS = ("allegro_right", "three_finger")
 TIP = 8  # of the index finger
-
-
-class Quiet(SimpleHTTPRequestHandler):
-    """Serves files, and prints nothing."""
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing of a request."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(folder: Path) -> Iterator[str]:
-    handler = partial(Quiet, directory=folder)
+    handler = partial(QuietHandler, directory=folder)
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"

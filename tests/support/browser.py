@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
+from http.server import SimpleHTTPRequestHandler
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -74,17 +75,32 @@ def light_simply(server: Any) -> None:
     server.scene.configure_default_lights(cast_shadow=False)
 
 
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Serves the files of a folder, and prints nothing."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing of a request."""
+
+
 class Browser:
     """One page of a headless Chromium; a context manager.
 
     Args:
         program: The browser's executable.
         size: Width and height of the page [px].
+        draws_seldom: Whether the page draws every `FRAME` only.
     """
 
-    def __init__(self, program: str, size: tuple[int, int] = (1400, 900)) -> None:
+    def __init__(
+        self,
+        program: str,
+        size: tuple[int, int] = (1400, 900),
+        *,
+        draws_seldom: bool = True,
+    ) -> None:
         self._program = program
         self._size = size
+        self._draws_seldom = draws_seldom
 
     def __enter__(self) -> Browser:
         """Start the browser."""
@@ -146,7 +162,8 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Runtime", "Page", "Network"):
             self.call(f"{domain}.enable")
-        self.call("Page.addScriptToEvaluateOnNewDocument", source=_SELDOM)
+        if self._draws_seldom:
+            self.call("Page.addScriptToEvaluateOnNewDocument", source=_SELDOM)
         self.resize(*self._size)
 
     def resize(self, width: int, height: int) -> None:
