@@ -60,6 +60,10 @@ HANDS = {
     "panda_gripper": Shown("Panda gripper", "example-robot-data"),
 }
 """Hands of the page, by their names; the first one is shown at first."""
+STUDIED = "allegro_right"
+"""The hand that leads in a study."""
+MAPPINGS = ("teleoperation", "picking")
+"""Presets that a study compares; the first one is that of the page."""
 
 
 def pack(
@@ -108,8 +112,11 @@ def pack(
 def _hand(name: str, shown: Shown, human: Hand, folder: Path) -> dict[str, Any]:
     """Write a hand and its shapes; return what the page says of it."""
     robot = load_hand(name)
-    saved = saved_bytes(HandMapper(human, robot, "teleoperation"))
+    saved = saved_bytes(HandMapper(human, robot, MAPPINGS[0]))
     (folder / f"{name}.hand").write_bytes(saved)
+    if name == STUDIED:
+        other = saved_bytes(HandMapper(human, robot, MAPPINGS[1]))
+        (folder / f"{name}.{MAPPINGS[1]}.hand").write_bytes(other)
     triangles = _write_shapes(robot, folder / f"{name}.shapes")
     print(f"{name}: {len(saved) / 1e3:.0f} kB, {triangles} triangles", flush=True)
     return {
@@ -117,6 +124,11 @@ def _hand(name: str, shown: Shown, human: Hand, folder: Path) -> dict[str, Any]:
         "title": shown.title,
         "joints": len(robot.joint_names),
         "wristToPalm": robot.wrist_to_palm.ravel().tolist(),
+        "mappings": list(MAPPINGS) if name == STUDIED else [MAPPINGS[0]],
+        "tips": [
+            {"name": point.name, "link": point.link, "xyz": list(point.xyz)}
+            for point in robot.reference_points
+        ],
         "source": shown.package,
         "licence": _licence(shown.package),
     }

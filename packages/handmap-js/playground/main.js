@@ -169,33 +169,7 @@ class Playground {
     find("lose").addEventListener("click", () => {
       this.lostUntil = (performance.now() - this.started) / 1e3 + LOSS;
     });
-    this.listenToPointer();
-  }
-
-  listenToPointer() {
-    const { canvas, controls } = this.scene;
-    let tip = null;
-    const place = (event) => {
-      const box = canvas.getBoundingClientRect();
-      return [event.clientX - box.left, event.clientY - box.top];
-    };
-    // Before the controls of the camera, which would turn it.
-    canvas.addEventListener("pointerdown", (event) => {
-      if (this.input !== "drag") return;
-      tip = this.scene.tipAt(...place(event));
-      controls.enabled = tip === null;
-      if (tip !== null) canvas.setPointerCapture(event.pointerId);
-    }, { capture: true });
-    canvas.addEventListener("pointermove", (event) => {
-      if (tip !== null) this.dragged.drag(tip, this.scene.pointAt(...place(event), tip, this.axes));
-    });
-    for (const end of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(end, () => {
-        tip = null;
-        controls.enabled = true;
-        this.dragged.drag(0, null);
-      });
-    }
+    this.scene.listenToPointer(() => (this.input === "drag" ? this.dragged : null), () => this.axes);
   }
 
   /** Lead the robot by another input, from here on: its first sample is the reference. */

@@ -5,6 +5,7 @@ import { OrbitControls } from "./three/OrbitControls.js";
 
 const PERSON = 0xc9825b;
 const ROBOT = 0x6f9cc4;
+const BALL = 0xd9a400;
 const APART = 0.11; // half the distance between both hands [m]
 const BONES = [
   [0, 1], [1, 2], [2, 3], [3, 4], [0, 5], [5, 6], [6, 7], [7, 8], [5, 9], [9, 10], [10, 11], [11, 12],
@@ -84,6 +85,19 @@ export class Scene {
     this.robot.updateMatrixWorld(true);
   }
 
+  /** Show a ball beside the robot, in axes of the palm as it is shown [m]; null for none. */
+  placeBall(place, radius) {
+    if (!this.ball) {
+      const material = new THREE.MeshStandardMaterial({ color: BALL, roughness: 0.5 });
+      this.ball = new THREE.Mesh(new THREE.SphereGeometry(1, 24, 16), material);
+      this.scene.add(this.ball);
+    }
+    this.ball.visible = place !== null;
+    if (!place) return;
+    this.ball.scale.setScalar(radius);
+    this.ball.position.set(APART + place[0], place[1], place[2]);
+  }
+
   render() {
     this.renderer.render(this.scene, this.camera);
   }
@@ -98,6 +112,37 @@ export class Scene {
       if (distance < nearest) [best, nearest] = [tip, distance];
     }
     return best;
+  }
+
+  /**
+   * Let a pointer drag fingertips.
+   * @param dragged returns the hand that is dragged, or null if pointers turn the camera.
+   * @param axes returns the world as `place` has it.
+   */
+  listenToPointer(dragged, axes) {
+    const { canvas, controls } = this;
+    let tip = null;
+    const place = (event) => {
+      const box = canvas.getBoundingClientRect();
+      return [event.clientX - box.left, event.clientY - box.top];
+    };
+    // Before the controls of the camera, which would turn it.
+    canvas.addEventListener("pointerdown", (event) => {
+      if (!dragged()) return;
+      tip = this.tipAt(...place(event));
+      controls.enabled = tip === null;
+      if (tip !== null) canvas.setPointerCapture(event.pointerId);
+    }, { capture: true });
+    canvas.addEventListener("pointermove", (event) => {
+      if (tip !== null) dragged()?.drag(tip, this.pointAt(...place(event), tip, axes()));
+    });
+    for (const end of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(end, () => {
+        tip = null;
+        controls.enabled = true;
+        dragged()?.drag(0, null);
+      });
+    }
   }
 
   onScreen(point) {
