@@ -40,6 +40,7 @@ class Follower {
     ik_.reserve();
     smoother_.options = options.smoothing;
     return_.palm_fades = options.palm_fades;
+    for (Rejoin* each : {&return_, &former_return_}) each->reserve(reader_.size());
     put_at(ik_.tree.joint_rest, {});
     ik_.at.place(ik_.motion.q.data());
     step_.result.wrists = {ik_.at.wrist()};

@@ -207,6 +207,12 @@ struct Misfits {
     for (double& sum : of_orders) sum = std::sqrt(sum / kPairs);
   }
 
+  // Make room for so many orders.
+  void reserve(size_t orders) {
+    of_orders.reserve(orders);
+    for (Vector* each : {&deviations, &sorted}) each->reserve(kPairs * orders);
+  }
+
  private:
   Vector deviations, sorted;  // a column for each order
 };

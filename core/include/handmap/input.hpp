@@ -123,6 +123,7 @@ struct BatchWork {
 
   explicit BatchWork(const LandmarkOrders& orders) {
     distances.reserve(orders.pairs.size(), kMostSamples);
+    misfits.reserve(orders.orders.size());
     better.reserve(orders.orders.size());
   }
 };

@@ -88,6 +88,11 @@ struct Rejoin {
     has_offset = left > 0.0 || !palm_fades;
     add_offset(offset, left, palm_fades, pose);
   }
+  // Make room for poses of so many points.
+  void reserve(size_t points) {
+    seen.points.reserve(points);
+    offset.reserve(points + 2);
+  }
   // Forget what was seen.
   void restart() {
     has_seen = has_offset = false;
