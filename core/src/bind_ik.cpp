@@ -104,12 +104,12 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrists, cons
   }
   expect_size(rest, joints, "rest");
   const When moment = when_from(when);
-  goal.postures = ik.postures(vector_of(rest), ik.motion.next(moment).granted);
+  ik.set_postures(vector_of(rest), ik.motion.next(moment).granted, goal.postures);
   if (regularisation) {
     expect_size(*regularisation, joints, "regularisation");
     goal.regularise(vector_of(*regularisation));
   }
-  for (const DistancesGiven& each : distances) goal.distances.push_back(aimed_of(ik.tree, each));
+  for (const DistancesGiven& each : distances) goal.distances.add() = aimed_of(ik.tree, each);
   for (const OffsetGiven& each : offsets) goal.offsets.push_back(offset_of(ik.tree, each));
   if (rows) goal.further = rows_of(ik, *rows);
   Step step;
@@ -124,6 +124,7 @@ void make_ik(Ik* self, const Tree& tree, const nb::bytes& options, const nb::byt
   set_options(ik, model_of<IkModel>(options));
   set_gate(ik, model_of<BoxLimits>(limits), std::move(pairs),
            optional_model<CollisionModel>(collisions));
+  ik.reserve();
 }
 
 // Take the stop that was admitted last, for one sample.

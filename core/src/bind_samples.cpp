@@ -100,13 +100,15 @@ std::pair<NumpyArray, double> offset_of_return(const HumanPose& pose, const Huma
                                                bool palm_fades, double lost) {
   expect(pose.has_wrist == seen.has_wrist && pose.points.size() == seen.points.size(),
          "poses of different hands");
-  const Offset offset = Place::of(pose).to(Place::of(seen));
+  Offset offset;
+  find_offset(pose, seen, offset);
   return {array_of(offset), fading_time(offset, palm_fades, lost)};
 }
 
-HumanPose pose_with_offset(const HumanPose& pose, const Array& offset, double left, bool palm_fades) {
+HumanPose pose_with_offset(HumanPose pose, const Array& offset, double left, bool palm_fades) {
   expect_size(offset, 3 * (pose.points.size() + 2), "offset");
-  return with_offset(pose, points_of(offset), left, palm_fades);
+  add_offset(points_of(offset), left, palm_fades, pose);
+  return pose;
 }
 
 }  // namespace

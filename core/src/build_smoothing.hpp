@@ -52,8 +52,9 @@ class PythonSmoother : public Exclusive {
     return {state.seen.points.size(), state.seen.has_wrist, array_of(numbers)};
   }
 
-  HumanPose smooth(const HumanPose& pose, double dt) {
-    return smoother.smooth(HumanPose(pose), dt);
+  HumanPose smooth(HumanPose pose, double dt) {
+    smoother.smooth(pose, dt);
+    return pose;
   }
   void wait(double dt) { smoother.wait(dt); }
   void restart() { smoother.restart(); }

@@ -279,8 +279,9 @@ class SampleReader {
       const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      nb::object made = moved(smoother.smoother.smooth(std::move(pose), granted),
-                              given ? *given : When::at(instant, granted), speed);
+      smoother.smoother.smooth(pose, granted);
+      nb::object made =
+          moved(std::move(pose), given ? *given : When::at(instant, granted), speed);
       return Judged{numbers_of(verdict), std::move(made), seconds_since(started)};
     } catch (...) {
       guard.forget();

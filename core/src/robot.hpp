@@ -111,7 +111,7 @@ class RobotMapper {
     double speed = 1.0;
     for (const HandRequest* request : requests) speed = std::min(speed, request->speed);
     aim(requests, since, worlds);
-    goal_.postures = ik_->postures(wanted_rest_, ik_->motion.next(when).granted);
+    ik_->set_postures(wanted_rest_, ik_->motion.next(when).granted, goal_.postures);
     goal_.regularise(regularisation_);
     seek(*ik_, goal_, when, margins_, speed, step.result);
     finish(*ik_, step);
@@ -159,7 +159,7 @@ class RobotMapper {
       goal_.points.insert(goal_.points.end(), targets.points.begin(), targets.points.end());
       goal_.wrists.push_back(targets.wrist);
       if (targets.distances)
-        goal_.distances.push_back({targets.distances, targets.aims, targets.weights});
+        goal_.distances.add().set(*targets.distances, targets.aims, targets.weights);
     }
   }
 

@@ -180,7 +180,7 @@ void smoothing(Numbers& numbers) {
       // The number of points may change.
       const size_t count = numbers.below(3) ? 21 : numbers.below(4);
       HumanPose pose{numbers.points(count, hostile, 0.1), numbers.below(4) > 0, numbers.pose(hostile)};
-      smoother.smooth(std::move(pose), std::abs(numbers.number(hostile, 0.02)));
+      smoother.smooth(pose, std::abs(numbers.number(hostile, 0.02)));
       if (numbers.below(5) == 0) smoother.forget();
       if (numbers.below(9) == 0) smoother.restart();
       ++calls;
@@ -344,7 +344,8 @@ void solvers(Numbers& numbers) {
       Goal goal;
       goal.points = numbers.points(2, hostile, 0.1);
       if (numbers.below(2)) goal.wrists = {numbers.pose(hostile)};
-      goal.postures = {{0.01, numbers.vector(4, hostile)}};
+      goal.postures.clear();
+      goal.pull(0.01, numbers.vector(4, hostile), {});
       const When when = When::after(std::abs(numbers.number(hostile, 0.02)));
       seek(ik, goal, when, {}, numbers.number(hostile) > 0.0 ? 1.0 : 0.2, result);
       if (numbers.below(5) == 0) ik.hold(when, result);

@@ -27,7 +27,6 @@ from library_in_c import (
     Options,
     Sample,
     built_examples,
-    installed_library,
     loaded,
     run,
 )
@@ -45,16 +44,6 @@ from handmap_qp.trackers import read_recording, write_recordings
 pytestmark = pytest.mark.slow
 DT = 1.0 / 60.0
 _Numbers = ctypes.POINTER(ctypes.c_double)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("library")
-
-
-@pytest.fixture(scope="module")
-def prefix(folder: Path) -> Path:
-    return installed_library(folder)
 
 
 @pytest.fixture(scope="module")

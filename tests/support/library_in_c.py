@@ -96,6 +96,20 @@ def built_examples(prefix: Path, folder: Path) -> Path:
     return build
 
 
+def linked_program(source: Path, prefix: Path, folder: Path) -> Path:
+    """Compile a program that calls an installed library; it may use the examples' headers.
+
+    Returns:
+        The program.
+    """
+    program = folder / source.stem
+    (library,) = prefix.glob("lib*/libhandmap.so")
+    headers = [f"-I{prefix / 'include'}", f"-I{EXAMPLES}"]
+    link = [library, f"-Wl,-rpath,{library.parent}", "-ldl", "-o", program]
+    run("g++", "-std=c++17", "-O0", "-Wall", "-Werror", *headers, source, *link)
+    return program
+
+
 def run(*command: str | Path, after: tuple[str | Path, ...] = ()) -> str:
     """Run a program without Python's environment; return what it prints.
 

@@ -72,6 +72,17 @@ struct Detour {
     foresight.fields(visit);
   }
 
+  // Make room for a search of this hand, of which so many errors are known.
+  void reserve(const Tree& tree, size_t errors) {
+    const size_t joints = tree.q_indices.size();
+    for (Vector* each : {&via, &foresight.posture, &foresight.via, &foresight.joints})
+      each->reserve(joints);
+    for (Vector* each : {&known, &foresight.ended, &foresight.ahead, &foresight.found})
+      each->reserve(errors);
+    points.reserve(tree.points.size());
+    foresight.motion.reserve(static_cast<size_t>(tree.nq), static_cast<size_t>(tree.size));
+  }
+
   // Reject one of another hand.
   void expect_hand(const Tree& tree) const {
     const auto expect_list = [](const Vector& list, size_t count, bool may_lack) {

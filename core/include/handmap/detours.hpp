@@ -61,16 +61,22 @@ class Detours {
         index_(part),
         part_(ik.tree.parts[part]),
         is_finger_(ik.tree.fingers[part]),
-        detour_(ik.detours[part]) {}
+        detour_(ik.detours[part]),
+        work_(ik.detour_work[part]) {}
 
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
              Result& result) {
     const double dt = ik_.motion.next(when).granted;
     const std::int64_t before = distances();
+    make_room(goal);
     detour_.wait -= dt;
     if (!detour_.points.empty() && moved_by(goal) > kMoved) give_up({}, 0.0);
-    if (!detour_.via.empty()) {
-      solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
+    const bool is_on_detour = !detour_.via.empty();
+    // The goal has a further posture in every sample, so that a search finds the memory for it.
+    work_.goal = goal;
+    work_.goal.pull(kPull, is_on_detour ? detour_.via : ik_.tree.joint_rest, is_finger_);
+    if (is_on_detour) {
+      solve_with_detours(ik_, index_, work_.goal, when, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
       if (is_at(detour_.via))
@@ -94,6 +100,7 @@ class Detours {
   const Part& part_;
   const Vector& is_finger_;
   Detour& detour_;
+  DetourWork& work_;
   Foresight& foresight_ = detour_.foresight;
 
   bool is_looking() const { return foresight_.is_looking(); }
@@ -102,6 +109,14 @@ class Detours {
   bool is_any_looking() const {
     return std::any_of(ik_.detours.begin(), ik_.detours.end(),
                        [](const Detour& each) { return each.foresight.is_looking(); });
+  }
+
+  // Take the memory of a search, which is rare, in the first sample.
+  void make_room(const Goal& goal) {
+    size_t errors = goal.points.size();
+    for (const AimedDistances& aimed : goal.distances) errors += aimed.weights.size();
+    detour_.reserve(ik_.tree, errors);
+    work_.errors.reserve(errors);
   }
 
   // How many distances were measured until now.
@@ -114,10 +129,10 @@ class Detours {
   }
 
   // End a detour, or a look ahead. Errors are known where none is nearer.
-  void give_up(Vector known, double wait) {
+  void give_up(const Vector& known, double wait) {
     detour_.via.clear();
     detour_.points.clear();
-    detour_.known = std::move(known);
+    detour_.known = known;
     detour_.left = 0.0;
     detour_.wait = wait;
     foresight_.candidate = Candidate::none;
@@ -125,10 +140,12 @@ class Detours {
 
   // Look ahead if a point or a pinch is away, and not on its way.
   void begin_to_look(const Goal& goal, const Result& result, double time) {
-    const Vector here = errors(goal, result);
-    if (!is_held_away(goal, here, result, time)) return;
+    find_errors(goal, result, work_.errors);
+    if (!is_held_away(goal, work_.errors, result, time)) return;
     detour_.points = goal.points;
-    foresight_ = {};
+    // A copy of empty lists leaves these their memory.
+    const Foresight fresh;
+    foresight_ = fresh;
     foresight_.credit = at_once();
     detour_.left = kLongestLook;
     try_candidate(Candidate::rest, goal);
@@ -136,7 +153,7 @@ class Detours {
 
   void try_candidate(Candidate candidate, const Goal& goal) {
     foresight_.candidate = candidate;
-    foresight_.posture = posture_of(candidate, goal);
+    find_posture(candidate, goal, foresight_.posture);
     go(Way::by_candidate, foresight_.posture);
   }
 
@@ -152,41 +169,40 @@ class Detours {
   // Foresee as much as a time [s] grants, until so many distances were measured.
   void look_ahead(const Goal& given, const Vector& margins, const Result& result, double dt,
                   double speed, std::int64_t most_distances) {
-    const Motion motion = ik_.motion;
-    const Vector here = errors(given, result);
+    Goal& goal = work_.goal;
+    Vector& here = work_.errors;
+    find_errors(given, result, here);
     const bool is_held = is_held_away(given, here, result, dt * speed);
-    Goal goal = given;
-    goal.postures.resize(1);
+    goal.postures.shorten(1);
     detour_.left -= dt;
     if (detour_.left < 0.0) return give_up(here, kLater);
     foresight_.credit = std::min(foresight_.credit + kForeseen * dt, at_once());
     while (is_looking() && foresight_.credit >= 1.0 && distances() < most_distances) {
-      ik_.motion = foresight_.motion;
+      std::swap(ik_.motion, foresight_.motion);
       const bool has_ended = foresee(goal, margins);
-      foresight_.motion = ik_.motion;
-      ik_.motion = motion;
+      std::swap(ik_.motion, foresight_.motion);
       foresight_.credit -= 1.0;
       if (has_ended) conclude(given, here, is_held);
     }
-    ik_.at.place(motion.q.data());
+    ik_.at.place(ik_.motion.q.data());
   }
 
   // Foresee one QP; whether the way has ended.
   bool foresee(Goal& goal, const Vector& margins) {
     const When next = When::after(kSample);
-    Result result;
+    Result& result = work_.foreseen;
     ++foresight_.steps;
     if (!foresight_.is_past) {
-      goal.postures.push_back({kPull, foresight_.via, is_finger_});
+      goal.pull(kPull, foresight_.via, is_finger_);
       ik_.solve(goal, next, margins, 1.0, result, kRough);
-      goal.postures.pop_back();
+      goal.postures.shorten(1);
       foresight_.is_past = is_at(foresight_.via) || foresight_.steps == kLongest;
       if (foresight_.is_past) foresight_.steps = 0;
       return false;
     }
     ik_.solve(goal, next, margins, 1.0, result, kRough);
-    foresight_.ended = errors(goal, result);
-    if (foresight_.way == Way::by_candidate) foresight_.joints = joints();
+    find_errors(goal, result, foresight_.ended);
+    if (foresight_.way == Way::by_candidate) find_joints(foresight_.joints);
     const auto& ended = foresight_.ended;
     return foresight_.steps >= kSamplesAhead || *std::max_element(ended.begin(), ended.end()) <= kAway;
   }
@@ -225,14 +241,13 @@ class Detours {
     give_up(foresight_.has_ahead ? foresight_.ahead : here, kLater);
   }
 
-  // A posture that may be a detour.
-  Vector posture_of(Candidate candidate, const Goal& goal) const {
-    if (candidate == Candidate::rest) return goal.postures.front().q;
+  // Write a posture that may be a detour.
+  void find_posture(Candidate candidate, const Goal& goal, Vector& to) const {
     const Tree& tree = ik_.tree;
-    Vector found(tree.joint_rest.size());
-    for (size_t j = 0; j < found.size(); ++j)
-      found[j] = std::clamp(kStraighter * tree.joint_rest[j], tree.lower[j], tree.upper[j]);
-    return found;
+    to = candidate == Candidate::rest ? goal.postures[0].q : tree.joint_rest;
+    if (candidate == Candidate::rest) return;
+    for (size_t j = 0; j < to.size(); ++j)
+      to[j] = std::clamp(kStraighter * tree.joint_rest[j], tree.lower[j], tree.upper[j]);
   }
 
   bool is_pinching(const Goal& goal) const {
@@ -241,12 +256,6 @@ class Detours {
       is_any |= weight / kLengthUnit > kHeld;
     });
     return is_any;
-  }
-
-  Goal pulled(const Goal& goal, const Vector& posture) const {
-    Goal towards = goal;
-    towards.postures.push_back({kPull, posture, is_finger_});
-    return towards;
   }
 
   // How far the farthest target is from where the detour was looked for.
@@ -322,22 +331,20 @@ class Detours {
       }
   }
 
-  Vector joints() const {
-    Vector found;
-    for (const int i : ik_.tree.q_indices) found.push_back(ik_.motion.q[i]);
-    return found;
+  void find_joints(Vector& to) const {
+    to.clear();
+    for (const int i : ik_.tree.q_indices) to.push_back(ik_.motion.q[i]);
   }
 
-  // Errors of the points, then of pinches that are too wide, where the hand is [cost].
-  Vector errors(const Goal& goal, const Result& result) const {
-    Vector found;
+  // Write the errors of the points, then of pinches that are too wide, where the hand is [cost].
+  void find_errors(const Goal& goal, const Result& result, Vector& to) const {
+    to.clear();
     for (size_t k = part_.first; k < part_.end; ++k)
-      found.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
+      to.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
     for_pinches(goal, [&](const Attached& a, const Attached& b, double aim, double weight) {
       const double gap = norm(ik_.at.point(a) - ik_.at.point(b));
-      found.push_back(weight / kLengthUnit * std::max(gap - aim - kPressed, 0.0));
+      to.push_back(weight / kLengthUnit * std::max(gap - aim - kPressed, 0.0));
     });
-    return found;
   }
 
   // Whether a point is away, by more than where no way round is known.
@@ -376,13 +383,13 @@ inline void seek(Ik& ik, const Goal& goal, const When& when, const Vector& margi
     ik.solve(goal, when, margins, speed, result);
     return;
   }
-  const Motion motion = ik.motion;
+  ik.sought_from = ik.motion;
   try {
     const size_t count = ik.tree.parts.size();
     solve_with_detours(ik, count, goal, when, margins, speed, result);
   } catch (...) {
     // What was foreseen is not where the hand is.
-    ik.motion = motion;
+    ik.motion = ik.sought_from;
     ik.stop_detours();
     throw;
   }

@@ -37,8 +37,10 @@ class Follower {
     if (model.pairs)
       pairs = std::make_shared<const PairBounds>(bounds_of(std::move(*model.pairs)));
     set_gate(ik_, std::move(model.limits), std::move(pairs), std::move(model.collisions));
+    ik_.reserve();
     smoother_.options = options.smoothing;
     return_.palm_fades = options.palm_fades;
+    for (Rejoin* each : {&return_, &former_return_}) each->reserve(reader_.size());
     put_at(ik_.tree.joint_rest, {});
     ik_.at.place(ik_.motion.q.data());
     step_.result.wrists = {ik_.at.wrist()};
@@ -94,7 +96,8 @@ class Follower {
   // Write where the person's landmarks are that the hand follows (`landmarks`), for joint angles [rad] and
   // a wrist pose.
   void human_points(const double* q, const double* wrist, std::vector<Vec3>& to) {
-    to = joints_.read(q, checked_pose(wrist)).points;
+    joints_.read(q, checked_pose(wrist), pose_);
+    to = pose_.points;
   }
 
   // -- samples
@@ -114,14 +117,14 @@ class Follower {
     }
     const GuardState former = guard_.state;
     const bool is_new = !map_;
-    const Rejoin before = return_;
-    if (is_new) return_ = Rejoin{before.palm_fades};
+    former_return_ = return_;
+    if (is_new) return_.restart();
     const Verdict verdict = guard_.check(judged);
     try {
       take(judged, wrist, verdict, given, is_new);
     } catch (...) {
       guard_.state = former;
-      return_ = before;
+      return_ = former_return_;
       throw;
     }
     verdict_ = verdict;
@@ -133,7 +136,8 @@ class Follower {
       throw InvalidInput("landmarks: expected finite coordinates within 1e9 m");
     std::optional<Pose> measured;
     if (wrist) measured = checked_pose(wrist);
-    map(reader_.read(landmarks, measured ? &*measured : nullptr), when, 1.0);
+    reader_.read(landmarks, measured ? &*measured : nullptr, pose_);
+    map(pose_, when, 1.0);
   }
 
   // Map the person's joint angles [rad] and wrist pose without judging or smoothing them.
@@ -144,7 +148,8 @@ class Follower {
         throw InvalidInput("human_q: " + human_joint_names[j] + " is " + std::to_string(q[j]) +
                            " rad, which is " + std::to_string(off) + " outside its limits");
     }
-    map(joints_.read(q, checked_pose(wrist)), when, 1.0);
+    joints_.read(q, checked_pose(wrist), pose_);
+    map(pose_, when, 1.0);
   }
 
   // Brake, and keep the posture, for one command.
@@ -170,7 +175,7 @@ class Follower {
   const double joint_tolerance_;
   StreamGuard guard_;
   Smoother smoother_;
-  Rejoin return_;
+  Rejoin return_, former_return_;  // after the last sample, and before it
   const PalmFollowingModel palm_;
   const TeleoperationModel teleoperation_;
   std::unique_ptr<const TeleoperationMap> map_;  // of the reference; null before it
@@ -178,6 +183,7 @@ class Follower {
   bool is_released_ = false, is_held_ = true;
   std::optional<double> origin_;  // where the stream's time begins on the robot's clock [s]
   Verdict verdict_{kNothing, true, false, 0.0};
+  HumanPose pose_;  // of the sample that is followed
   Step step_;
   Goal goal_;
 
@@ -229,21 +235,21 @@ class Follower {
       smoother_.wait(granted);
       hold(when);
     } else {
-      HumanPose pose = reader_.read(sample.landmarks, wrist ? &*wrist : nullptr);
+      reader_.read(sample.landmarks, wrist ? &*wrist : nullptr, pose_);
       if (verdict.is_return) {
-        return_.start(pose, verdict.lost);
+        return_.start(pose_, verdict.lost);
         smoother_.restart();
       }
-      pose = return_.advance(std::move(pose), verdict.dt);
+      return_.advance(pose_, verdict.dt);
       if (is_new) smoother_.restart();
-      pose = smoother_.smooth(std::move(pose), granted);
+      smoother_.smooth(pose_, granted);
       try {
-        map(pose, when, verdict.rule == kUnproven ? kUnprovenSpeed : 1.0);
+        map(pose_, when, verdict.rule == kUnproven ? kUnprovenSpeed : 1.0);
       } catch (...) {
         smoother_.forget();
         throw;
       }
-      return_.seen = std::move(pose);
+      return_.seen = pose_;
       return_.has_seen = true;
     }
     note_origin(verdict, given.has_value());

@@ -37,6 +37,7 @@
 #pragma once
 
 #include <cstdint>
+#include <iterator>
 #include <memory>
 #include <numeric>
 #include <utility>
@@ -62,7 +63,8 @@ class Gate : public Exclusive {
   int held_by = -1;  // the pair of shapes that held the last displacement back; -1 for none
   Placed at;         // where the robot was looked at last: where it is, or where a displacement leads
 
-  explicit Gate(Tree given) : tree(std::move(given)), at(tree), start(tree), path_end(tree) {}
+  explicit Gate(Tree given)
+      : tree(std::move(given)), at(tree), start(tree), path_end(tree), moving_(moving_parts(tree)) {}
   Gate(const Gate&) = delete;
   virtual ~Gate() = default;
 
@@ -232,6 +234,19 @@ class Gate : public Exclusive {
     move(displacement, times_, interval);
   }
 
+  // Make room for what a sample needs at most, or usually where that is much more.
+  void reserve_gate() {
+    const size_t n = static_cast<size_t>(tree.size), nv = static_cast<size_t>(tree.nv);
+    auto& [brake, left, least, most, clipped, base, tried, times, taken] = shortening_;
+    for (Vector* each : {&brake, &left, &least, &most, &clipped, &base, &tried, &times, &taken,
+                         &taken_, &short_first_, &times_, &whole_})
+      each->reserve(n);
+    path_.reserve(nv);
+    if (!pairs) return;
+    pairs->reserve();
+    feasible_.reserve(n, kUsualRows);
+  }
+
   Feasible feasible_;
 
  private:
@@ -308,10 +323,10 @@ class Gate : public Exclusive {
         return admit_granted(other, other, interval, around, tries - 1);
       }
       if (is_inside && pairs->has_met()) held_by = pairs->nearest_met();
-      Vector short_first(n);
+      short_first_.resize(n);
       for (int i = 0; i < n; ++i)
-        short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
-      shorten(taken_, short_first, dt);
+        short_first_[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
+      shorten(taken_, short_first_, dt);
     }
     move(taken_, times_, interval);
   }
@@ -345,10 +360,25 @@ class Gate : public Exclusive {
     }
   }
 
+  // What moves by itself where a displacement is shortened: the fingers of each hand, then all coordinates.
+  static std::vector<std::vector<int>> moving_parts(const Tree& tree) {
+    std::vector<std::vector<int>> parts;
+    for (const Vector& is_finger : tree.fingers) {
+      parts.emplace_back();
+      for (size_t j = 0; j < is_finger.size(); ++j)
+        if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);
+    }
+    parts.emplace_back(tree.size);
+    std::iota(parts.back().begin(), parts.back().end(), 0);
+    return parts;
+  }
+
   // Find a displacement that is admitted, and the times of the stop behind it.
   void shorten(const Vector& wanted, const Vector& first, double dt) {
     const int n = tree.size;
-    Vector brake, left(n), least(n), most(n), clipped(n), base(n), tried(n), times(n), taken(n);
+    auto& [brake, left, least, most, clipped, base, tried, times, taken] = shortening_;
+    for (Vector* each : {&left, &least, &most, &clipped, &base, &tried, &times, &taken})
+      each->resize(n);
     braking(dt, brake);
     const double change = limits.change(dt);
     for (int i = 0; i < n; ++i) {
@@ -360,33 +390,25 @@ class Gate : public Exclusive {
       clipped[i] = clip(first[i], least[i], most[i]);
       base[i] = limits.together[i] ? brake[i] : clipped[i];
     }
-    std::vector<std::vector<int>> parts;
-    for (const Vector& is_finger : tree.fingers) {
-      parts.emplace_back();
-      for (size_t j = 0; j < is_finger.size(); ++j)
-        if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);
-    }
-    parts.emplace_back(n);
-    std::iota(parts.back().begin(), parts.back().end(), 0);
+    // All of what is wanted, shares of the first displacement, and none of it.
+    constexpr size_t kCandidates = std::size(kShares) + 2;
+    const auto candidate = [&](size_t c, int i) {
+      if (c == 0) return clip(wanted[i], least[i], most[i]);
+      if (c + 1 == kCandidates) return base[i];
+      return base[i] + kShares[c - 1] * (clipped[i] - base[i]);
+    };
     grant(kShortProofs);
-    for (const std::vector<int>& own : parts) {
-      const bool is_last = &own == &parts.back();
-      for (int i = 0; i < n; ++i) tried[i] = clip(wanted[i], least[i], most[i]);
-      std::vector<Vector> candidates{tried};
-      for (const double share : kShares) {
-        for (int i = 0; i < n; ++i) tried[i] = base[i] + share * (clipped[i] - base[i]);
-        candidates.push_back(tried);
-      }
-      candidates.push_back(base);
+    for (const std::vector<int>& own : moving_) {
+      const bool is_last = &own == &moving_.back();
       bool is_admitted = false;
-      for (size_t c = 0; c < candidates.size() && !is_admitted; ++c) {
+      for (size_t c = 0; c < kCandidates && !is_admitted; ++c) {
         // The smallest share is proved by a few distances.
-        if (pairs && pairs->is_spent() && c + 1 < candidates.size()) {
+        if (pairs && pairs->is_spent() && c + 1 < kCandidates) {
           if (is_last) grant(kLastProof);
-          c = candidates.size() - 2;
+          c = kCandidates - 2;
         }
         tried = base;
-        for (const int i : own) tried[i] = candidates[c][i];
+        for (const int i : own) tried[i] = candidate(c, i);
         limits.stop_times(tried, dt, times);
         bool can_all = true;
         for (int i = 0; i < n; ++i) {
@@ -430,9 +452,16 @@ class Gate : public Exclusive {
     ++motion.commands;
   }
 
+  // Memory in which `shorten` works.
+  struct Shortening {
+    Vector brake, left, least, most, clipped, base, tried, times, taken;
+  };
+
+  const std::vector<std::vector<int>> moving_;  // see `moving_parts`
   Box box_;
   Qp qp_;
-  Vector taken_, times_, path_, whole_, reached_;
+  Shortening shortening_;
+  Vector taken_, short_first_, times_, path_, whole_, reached_;
 };
 
 }  // namespace handmap

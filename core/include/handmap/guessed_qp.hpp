@@ -40,6 +40,17 @@ class GuessedQp {
     return has_found;
   }
 
+  // Make room for problems of up to so many coordinates and rows.
+  void reserve(size_t n, size_t rows) {
+    qp_.reserve(n, rows);
+    for (std::vector<signed char>* each : {&fixed_, &factored_, &bounds_}) each->reserve(n);
+    for (std::vector<int>* each : {&free_, &active_rows_, &expected_}) each->reserve(n);
+    for (std::vector<double>* each : {&x, &c_, &lower_, &upper_, &slope_, &pressed_}) each->reserve(n);
+    H_.reserve(n * n);
+    G_.reserve(n * rows);
+    h_.reserve(rows);
+  }
+
   // Rows are others from now on: which of them are active is not known.
   void forget_rows() {
     active_rows_.clear();

@@ -136,7 +136,7 @@ struct Distances {
   // Of the pairs [from, to).
   void measure(const std::pair<int, int>* pairs, int from, int to, const Landmarks* hands, int n) {
     const int width = to - from;
-    Vector squares(static_cast<size_t>(n) * width);
+    squares.resize(static_cast<size_t>(n) * width);
     for (int t = 0; t < n; ++t)
       for (int k = 0; k < width; ++k) {
         const auto& [first, second] = pairs[from + k];
@@ -168,32 +168,54 @@ struct Distances {
     for (int i = 8; i < 12; ++i) length += std::exp(medians[i]);
     return length;
   }
+
+  // Make room for so many pairs in so many samples.
+  void reserve(size_t pairs, size_t samples) {
+    for (Vector* each : {&medians, &spreads}) each->reserve(pairs);
+    squares.reserve(pairs * samples);
+  }
+
+ private:
+  Vector squares;  // of the distances, a row for each sample
 };
 
 // How badly landmarks fit a hand in each order: root mean square deviation from the proportions of
 // hands [half widths of their range], and from rigidity. Below 1.3 for hands, above 1.5 for orders that
 // are wrong in more than the exchange of two similar fingers.
-inline Vector misfits(const Distances& distances, const LandmarkOrders& orders) {
-  const size_t count = orders.orders.size();
-  Vector deviations(kPairs * count), sums(count, 0.0);
-  for (size_t i = 0; i < kPairs; ++i)
-    for (size_t k = 0; k < count; ++k)
-      deviations[i * count + k] = distances.medians[orders.places[i * count + k]] - kCentres[i];
-  Vector sorted = deviations;
-  sort_columns(sorted.data(), kPairs, static_cast<int>(count));
-  const double* middles = sorted.data() + kPairs / 2 * count;
-  for (size_t i = 0; i < kPairs; ++i)
-    for (size_t k = 0; k < count; ++k) {
-      const double off = (deviations[i * count + k] - middles[k]) / kWidths[i];
-      const double soft = distances.spreads[orders.places[i * count + k]] / kRigidSpread;
-      const double square = off * off + soft * soft;
-      constexpr double kMost = kLargestDeviation * kLargestDeviation;
-      // A square that is NaN stays one.
-      sums[k] += square > kMost ? kMost : square;
-    }
-  for (double& sum : sums) sum = std::sqrt(sum / kPairs);
-  return sums;
-}
+struct Misfits {
+  Vector of_orders;
+
+  void measure(const Distances& distances, const LandmarkOrders& orders) {
+    const size_t count = orders.orders.size();
+    deviations.resize(kPairs * count);
+    of_orders.assign(count, 0.0);
+    for (size_t i = 0; i < kPairs; ++i)
+      for (size_t k = 0; k < count; ++k)
+        deviations[i * count + k] = distances.medians[orders.places[i * count + k]] - kCentres[i];
+    sorted = deviations;
+    sort_columns(sorted.data(), kPairs, static_cast<int>(count));
+    const double* middles = sorted.data() + kPairs / 2 * count;
+    for (size_t i = 0; i < kPairs; ++i)
+      for (size_t k = 0; k < count; ++k) {
+        const double off = (deviations[i * count + k] - middles[k]) / kWidths[i];
+        const double soft = distances.spreads[orders.places[i * count + k]] / kRigidSpread;
+        const double square = off * off + soft * soft;
+        constexpr double kMost = kLargestDeviation * kLargestDeviation;
+        // A square that is NaN stays one.
+        of_orders[k] += square > kMost ? kMost : square;
+      }
+    for (double& sum : of_orders) sum = std::sqrt(sum / kPairs);
+  }
+
+  // Make room for so many orders.
+  void reserve(size_t orders) {
+    of_orders.reserve(orders);
+    for (Vector* each : {&deviations, &sorted}) each->reserve(kPairs * orders);
+  }
+
+ private:
+  Vector deviations, sorted;  // a column for each order
+};
 
 // The same in our own order. Noise makes bones look soft; without spreads, proportions alone count.
 inline double misfit(const Distances& distances, bool has_spreads) {
@@ -301,32 +323,32 @@ inline bool is_bent(const Landmarks& hand, int finger) {
 
 // The first bent finger that the palm carries as it is while the other fingers move; -1 if none is.
 // This finds them where bones are rigid, and takes some seconds.
-inline int carried_finger(const std::vector<const Landmarks*>& hands) {
-  if (hands.empty()) return -1;
+inline int carried_finger(const Landmarks* const* hands, size_t count) {
+  if (count == 0) return -1;
   int found = -1;
   for (int f = 0; f < kFingers && found < 0; ++f) {
     bool is_rigid = true;
     for (int i = 0; i < kSpans && is_rigid; ++i) {
       double least = HUGE_VAL, most = -HUGE_VAL;
-      for (const Landmarks* hand : hands) {
-        const double away = span(*hand, f, i);
+      for (size_t t = 0; t < count; ++t) {
+        const double away = span(*hands[t], f, i);
         least = std::min(least, away);
         most = std::max(most, away);
         if (!(is_rigid = most - least < kCarried)) break;
       }
     }
-    if (is_rigid && is_bent(*hands.back(), f)) found = f;
+    if (is_rigid && is_bent(*hands[count - 1], f)) found = f;
   }
   if (found < 0) return -1;
   double changing[kFingers] = {};
-  for (size_t t = 1; t < hands.size(); ++t)
+  for (size_t t = 1; t < count; ++t)
     for (int f = 0; f < kFingers; ++f) {
       bool changes = false;
       for (int i = 0; i < kSpans && !changes; ++i)
         changes = std::abs(span(*hands[t], f, i) - span(*hands[t - 1], f, i)) > kStep;
       changing[f] += changes;
     }
-  const double steps = static_cast<double>(hands.size() - 1);
+  const double steps = static_cast<double>(count - 1);
   return upper_median(changing, kFingers) > kOthersChange * steps ? found : -1;
 }
 

@@ -9,6 +9,7 @@
 #include "detour_state.hpp"
 #include "gate.hpp"
 #include "guessed_qp.hpp"
+#include "reused_list.hpp"
 #include "task_rows.hpp"
 
 namespace handmap {
@@ -27,9 +28,9 @@ struct Settings {
 };
 
 struct Posture {
-  double weight;
-  Vector q;            // in the user's order of joints
-  Vector shares = {};  // of the weight, of each joint; all of it if empty
+  double weight = 0.0;
+  Vector q;       // in the user's order of joints
+  Vector shares;  // of the weight, of each joint; all of it if empty
 };
 
 // What is done for one sample, at most: iterations of the QP, solutions with further rows of what comes
@@ -45,8 +46,8 @@ constexpr Effort kRough{1, 1, 0, false};
 struct Goal {
   std::vector<Vec3> points;
   std::vector<Pose> wrists;  // of each hand; empty where they are free
-  std::vector<Posture> postures;
-  std::vector<AimedDistances> distances;
+  ReusedList<Posture> postures;
+  ReusedList<AimedDistances> distances;
   std::vector<OffsetTask> offsets;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
@@ -54,8 +55,15 @@ struct Goal {
 
   // Take shares of the weights of the rest term, which is the first posture, and of the damping.
   void regularise(const Vector& shares) {
-    postures.front().shares = shares;
+    postures[0].shares = shares;
     damping_shares = shares;
+  }
+  // Pull joints to a posture by shares of a weight.
+  void pull(double weight, const Vector& q, const Vector& shares) {
+    Posture& posture = postures.add();
+    posture.weight = weight;
+    posture.q = q;
+    posture.shares = shares;
   }
 };
 
@@ -73,6 +81,20 @@ struct Result {
   int iterations;
   double last_step;
   int held_by;  // the pair of shapes that holds the hand back, or -1
+
+  void reserve(const Tree& tree) {
+    for (std::vector<Vec3>* each : {&points, &targets}) each->reserve(tree.points.size());
+    wrists.reserve(tree.parts.size());
+    displacement.reserve(static_cast<size_t>(tree.size));
+    active.reserve(static_cast<size_t>(tree.size));
+  }
+};
+
+// Memory in which the detours of one hand are sought; see detours.hpp.
+struct DetourWork {
+  Goal goal;        // that of the sample, with another posture
+  Vector errors;    // of the hand where it is [cost]
+  Result foreseen;  // of a QP that moves no hand
 };
 
 // Moves a robot by QPs, through its gate.
@@ -82,8 +104,21 @@ class Ik : public Gate {
   Settings settings;
   bool takes_detours = false;
   std::vector<Detour> detours;  // of each hand
+  std::vector<DetourWork> detour_work;
+  Motion sought_from;  // where the robot was before the last `seek`
 
-  explicit Ik(Tree given) : Gate(std::move(given)) {}
+  explicit Ik(Tree given) : Gate(std::move(given)), detour_work(tree.parts.size()) {}
+
+  // Make room for samples, so that none after the first takes memory; call it with pairs and options set.
+  void reserve() {
+    const size_t n = static_cast<size_t>(tree.size), rows = pairs ? kUsualRows : 0;
+    reserve_gate();
+    linear_.reserve(n, rows);
+    h_.reserve(rows);
+    qp_.reserve(n, rows);
+    columns_.reserve(n);
+    for (DetourWork& work : detour_work) work.foreseen.reserve(tree);
+  }
 
   // Move the hand towards its targets for one sample.
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
@@ -191,19 +226,27 @@ class Ik : public Gate {
   // Something else moves the hand.
   void stop_detours() { detours.assign(tree.parts.size(), {}); }
 
-  // What the cost of a sample pulls to: the rest posture; where the hand is, because displacement costs;
-  // and where it would go on to, because a change of displacement costs.
-  std::vector<Posture> postures(const Vector& rest, double dt) const {
-    std::vector<Posture> found{{settings.rest_weight, rest}};
-    if (settings.speed_weight == 0.0 && settings.acceleration_weight == 0.0) return found;
-    Vector start, ahead;
-    for (size_t j = 0; j < tree.q_indices.size(); ++j) {
-      start.push_back(motion.q[tree.q_indices[j]]);
-      ahead.push_back(start[j] + dt * (motion.displacement[tree.joint_columns[j]] / motion.dt));
-    }
-    found.push_back({settings.speed_weight, start});
-    found.push_back({settings.acceleration_weight, ahead});
-    return found;
+  // Write what the cost of a sample pulls to: the rest posture; where the hand is, because displacement
+  // costs; and where it would go on to, because a change of displacement costs.
+  void set_postures(const Vector& rest, double dt, ReusedList<Posture>& to) const {
+    to.clear();
+    const auto add = [&to](double weight) -> Vector& {
+      Posture& posture = to.add();
+      posture.weight = weight;
+      posture.shares.clear();
+      return posture.q;
+    };
+    add(settings.rest_weight) = rest;
+    if (settings.speed_weight == 0.0 && settings.acceleration_weight == 0.0) return;
+    const auto start = [this](size_t j) { return motion.q[tree.q_indices[j]]; };
+    const size_t joints = tree.q_indices.size();
+    Vector& here = add(settings.speed_weight);
+    here.resize(joints);
+    for (size_t j = 0; j < joints; ++j) here[j] = start(j);
+    Vector& ahead = add(settings.acceleration_weight);
+    ahead.resize(joints);
+    for (size_t j = 0; j < joints; ++j)
+      ahead[j] = start(j) + dt * (motion.displacement[tree.joint_columns[j]] / motion.dt);
   }
 
   std::int64_t costs = 0;  // number of costs that were computed, as a measure of work

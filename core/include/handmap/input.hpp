@@ -21,7 +21,7 @@ constexpr BatchSize kCalmBatch = {32, 16, 0.5};
 // After `alert`: two such batches are shorter than the guard's hold after a flip.
 constexpr BatchSize kAlertBatch = {16, 6, 0.19};
 constexpr int kCalmBatches = 2;  // after which the finding is no longer new
-constexpr int kMostSamples = kCalmBatch.most;
+static_assert(kCalmBatch.most <= kMostSamples);
 
 constexpr double kSureSide = 0.6;  // of 5 (`PalmarEvidence::total`)
 // Of 2 (`PalmarEvidence::fingers`): beyond the hyperextension of people.
@@ -65,7 +65,7 @@ inline bool is_image(const Landmarks* hands, int n, double length) {
 
 // The largest extent of a hand along an axis, the median over samples [m].
 inline double extent_of(const Landmarks* hands, int n) {
-  Vector extents(n);
+  double extents[kMostSamples] = {};
   for (int t = 0; t < n; ++t)
     for (int axis = 0; axis < 3; ++axis) {
       const auto [least, most] = std::minmax_element(
@@ -73,7 +73,7 @@ inline double extent_of(const Landmarks* hands, int n) {
           [axis](const Vec3& a, const Vec3& b) { return a[axis] < b[axis]; });
       extents[t] = std::max(extents[t], (*most)[axis] - (*least)[axis]);
     }
-  return median(extents);
+  return median(extents, n);
 }
 
 // Tell whether landmarks, which are a hand or in another order, are not in metres.
@@ -93,40 +93,59 @@ inline Finding find_length_unit(const Distances& distances, const Landmarks* han
 // How much noise adds to the misfits of a batch.
 inline double misfit_of_noise(const Landmarks* hands, int n) {
   if (n < 3) return 0.0;
-  Vector changes;
+  double changes[(kMostSamples - 2) * kLandmarks];
+  int count = 0;
   for (int t = 2; t < n; ++t)
     for (int i = 0; i < kLandmarks; ++i) {
       const auto offset = [&](int at) { return hands[at][i] - hands[at][0]; };
-      changes.push_back(norm((offset(t) - offset(t - 1)) - (offset(t - 1) - offset(t - 2))));
+      changes[count++] = norm((offset(t) - offset(t - 1)) - (offset(t - 1) - offset(t - 2)));
     }
-  return kNoisyMisfit * noise_of(changes.data(), changes.size(), change_rate(1.0, 1.0));
+  return kNoisyMisfit * noise_of(changes, count, change_rate(1.0, 1.0));
 }
 
 // Evidence for a right hand, of landmarks in some order; the median over samples.
 inline double evidence_in_order(const std::array<int, kLandmarks>& order, const Landmarks* hands,
                                 int n) {
-  Vector totals(n);
+  double totals[kMostSamples];
   for (int t = 0; t < n; ++t) {
     Landmarks ordered;
     for (int i = 0; i < kLandmarks; ++i) ordered[i] = hands[t][order[i]];
     totals[t] = palmar_evidence(ordered).total;
   }
-  return median(totals);
+  return median(totals, n);
 }
 
+// Memory in which batches are examined.
+struct BatchWork {
+  Distances distances;
+  Misfits misfits;
+  Indices better;  // orders that explain landmarks better than ours
+
+  explicit BatchWork(const LandmarkOrders& orders) {
+    distances.reserve(orders.pairs.size(), kMostSamples);
+    misfits.reserve(orders.orders.size());
+    better.reserve(orders.orders.size());
+  }
+};
+
 // Look for an order that explains landmarks much better than ours, whose evidence is -5 to 5.
-inline Finding find_order(const LandmarkOrders& orders, Distances& distances, double sign,
+inline Finding find_order(const LandmarkOrders& orders, BatchWork& work, double sign,
                           double own_evidence, const Landmarks* hands, int n) {
+  Distances& distances = work.distances;
   distances.measure(orders.pairs.data(), kPairs, static_cast<int>(orders.pairs.size()), hands, n);
-  const Vector all = misfits(distances, orders);
+  work.misfits.measure(distances, orders);
+  const Vector& all = work.misfits.of_orders;
   const double own = all[0], slack = misfit_of_noise(hands, n);
   // The other hand is an explanation too, so an order of fingers must beat it only where our own order
   // contradicts the side.
   const double needed = own - slack - (own_evidence > -kContradiction ? kBetterBy : 0.0);
-  std::vector<int> better;
+  Indices& better = work.better;
+  better.clear();
   for (size_t k = 0; k < all.size(); ++k)
     if (all[k] < needed) better.push_back(static_cast<int>(k));
-  std::stable_sort(better.begin(), better.end(), [&](int a, int b) { return all[a] < all[b]; });
+  // Of those that fit alike, the first one is first.
+  std::sort(better.begin(), better.end(),
+            [&](int a, int b) { return all[a] != all[b] ? all[a] < all[b] : a < b; });
   const auto named = [](bool is_hand, int order) -> Finding {
     if (!is_hand || order == 0) return {Mistake::unknown_order};
     return {Mistake::order, kNaN, order};
@@ -162,12 +181,13 @@ inline Finding find_stuck(const Landmarks* hands, int n, Examined& seen) {
   seen.past_count = std::min(seen.past_count + 1, kCarriedBatches);
   int finger = stuck_finger(hands, n);
   if (seen.past_count == kCarriedBatches) {
-    std::vector<const Landmarks*> all;
+    const Landmarks* all[kCarriedBatches * kMostSamples];
+    size_t count = 0;
     for (int b = 0; b < kCarriedBatches; ++b) {
       const int at = (seen.past_next + b) % kCarriedBatches;
-      for (int t = 0; t < seen.past_sizes[at]; ++t) all.push_back(&seen.past[at][t]);
+      for (int t = 0; t < seen.past_sizes[at]; ++t) all[count++] = &seen.past[at][t];
     }
-    const int carried = carried_finger(all);
+    const int carried = carried_finger(all, count);
     if (carried >= 0 && (finger < 0 || carried < finger)) finger = carried;
   }
   if (finger < 0) return {};
@@ -193,22 +213,22 @@ inline Finding other_side(double sign, const Landmarks* hands, const Pose* wrist
 
 // What is wrong in one batch. `wrists` is null where one is missing.
 inline Finding examine(const LandmarkOrders& orders, double sign, const Landmarks* hands,
-                       const Pose* wrists, int n, Examined& seen) {
-  Vector totals(n), of_fingers(n);
+                       const Pose* wrists, int n, Examined& seen, BatchWork& work) {
+  double totals[kMostSamples], of_fingers[kMostSamples];
   for (int t = 0; t < n; ++t) {
     const PalmarEvidence evidence = palmar_evidence(hands[t]);
     totals[t] = sign * evidence.total;
     of_fingers[t] = sign * evidence.fingers;
   }
-  const double total = upper_median(totals.data(), totals.size());
-  const double fingers = upper_median(of_fingers.data(), of_fingers.size());
-  Distances distances;
+  const double total = upper_median(totals, n);
+  const double fingers = upper_median(of_fingers, n);
+  Distances& distances = work.distances;
   distances.measure(orders.pairs.data(), 0, kPairs, hands, n);
   const double own = misfit(distances, true);
   // A misfit of before that is NaN is none.
   const bool is_known = own < seen.misfit + kSameMisfit && total > kSureSide;
   const Finding order =
-      is_known ? Finding{} : find_order(orders, distances, sign, total, hands, n);
+      is_known ? Finding{} : find_order(orders, work, sign, total, hands, n);
   const Finding unit = find_length_unit(distances, hands, n, order.is_none());
   if (!unit.is_none()) return unit;
   if (!order.is_none()) return order;
@@ -270,7 +290,7 @@ class InputCheck {
 
   // The sign is 1 for a right hand, -1 for a left one.
   InputCheck(double sign, std::shared_ptr<const LandmarkOrders> orders)
-      : sign_(sign), orders_(std::move(orders)) {}
+      : sign_(sign), orders_(std::move(orders)), work_(*orders_) {}
 
   // Take a sample in which the tracker saw the hand; return the finding so far.
   const Finding& update(double time, const Landmarks& landmarks, const Pose* wrist) {
@@ -298,6 +318,7 @@ class InputCheck {
  private:
   double sign_;
   std::shared_ptr<const LandmarkOrders> orders_;
+  BatchWork work_;
 
   void clear() { state.count = state.wrist_count = 0; }
 
@@ -332,7 +353,7 @@ class InputCheck {
     Finding guess = find_time_unit(times, n);
     if (guess.is_none() && hands > 0) {
       const Pose* wrists = has_wrists ? state.wrists : nullptr;
-      guess = examine(*orders_, sign_, state.hands, wrists, hands, state.seen);
+      guess = examine(*orders_, sign_, state.hands, wrists, hands, state.seen, work_);
     }
     // Two batches in a row must agree that something is wrong, or that nothing is.
     const bool is_same = guess.is_none() == state.guess.is_none() && state.batches > 1;

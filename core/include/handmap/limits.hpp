@@ -56,6 +56,9 @@ constexpr double kPressing = 10.0;
 // come too near where it ends.
 constexpr int kTries = 3;
 constexpr int kLooks = 3;
+// Rows for which there is room from the beginning: hands with 1,800 pairs of shapes have a hundred at once.
+// The first sample with more takes memory.
+constexpr size_t kUsualRows = 256;
 // Shares of a displacement that are tried where all of it is not admitted.
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
@@ -92,6 +95,12 @@ struct Motion {
   double time = 0.0;    // instant of the last command, on the robot's clock [s]
   std::uint64_t stamp = 0;  // no two commands of a process have the same
   std::int64_t commands = 0;  // how many the robot has had
+
+  // Make room for the motion of a robot.
+  void reserve(size_t configuration, size_t coordinates) {
+    q.reserve(configuration);
+    for (Vector* each : {&displacement, &stop_times}) each->reserve(coordinates);
+  }
 
   // The time of the next command; `kShortestDt` if it is not later than the last.
   Interval next(const When& when) const {
@@ -226,6 +235,12 @@ class BoxLimits {
 struct Rows {
   int count = 0;
   Vector G, h;
+
+  // Make room for rows of so many coordinates.
+  void reserve(size_t coordinates, size_t rows) {
+    G.reserve(coordinates * rows);
+    h.reserve(rows);
+  }
 };
 
 // Loosens rows where they contradict each other or a box.
@@ -236,6 +251,15 @@ struct Rows {
 // to; it is damped, so that pairs whose distance hardly depends on the joints part slowly.
 class Feasible {
  public:
+  // Make room for rows of so many coordinates.
+  void reserve(size_t coordinates, size_t rows) {
+    for (Vector* each : {&witness_, &within_}) each->reserve(coordinates);
+    for (Vector* each : {&kept_, &excess_, &parted_, &share_}) each->reserve(rows);
+    near_.reserve(rows);
+    // Pairs that are too near already are few.
+    gram_.reserve(kMostTooNear * kMostTooNear);
+  }
+
   void loosen(const Rows& rows, const Vector& lower, const Vector& upper, double stopping,
               const Vector& so_far, Vector& h) {
     const int n = static_cast<int>(lower.size()), r = rows.count;
@@ -307,6 +331,8 @@ class Feasible {
       within_[i] = clip(within_[i], kInside * (lower[i] - witness_[i]),
                         kInside * (upper[i] - witness_[i]));
   }
+
+  static constexpr size_t kMostTooNear = 64;
 
   Vector witness_, kept_, excess_, parted_, within_, gram_, share_;
   std::vector<int> near_;

@@ -35,14 +35,15 @@ inline double upper_median(double* values, size_t count) {
 
 // The median as of `np.median`: NaN if a value is, or without values; an even count has the mean of the
 // two in the middle. Changes the order of `values`.
-inline double median(std::vector<double>& values) {
-  const size_t count = values.size(), middle = count / 2;
-  if (count == 0 || put_numbers_first(values.data(), count) < count) return kNaN;
-  const double upper = nth_smallest(values.data(), count, middle);
+inline double median(double* values, size_t count) {
+  const size_t middle = count / 2;
+  if (count == 0 || put_numbers_first(values, count) < count) return kNaN;
+  const double upper = nth_smallest(values, count, middle);
   if (count % 2) return upper;
-  const double lower = *std::max_element(values.begin(), values.begin() + middle);
+  const double lower = *std::max_element(values, values + middle);
   return (lower + upper) / 2.0;
 }
+inline double median(std::vector<double>& values) { return median(values.data(), values.size()); }
 
 // A percentile as of `np.percentile`: NaN if a value is, or without values. Changes the order of
 // `values`.

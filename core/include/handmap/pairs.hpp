@@ -239,6 +239,27 @@ class Pairs {
   }
   Pairs(const Pairs&) = delete;
 
+  // Make room for the usual rows, and for the proofs of a path.
+  void reserve() {
+    const size_t nv = static_cast<size_t>(tree_.nv), near = std::min(size(), kUsualRows);
+    near_.reserve(size());
+    for (Vector* each : {&margins_, &same_}) each->reserve(size());
+    changed_.reserve(groups_.size());
+    box_lows_.reserve(groups_.size());
+    // A pair may be looked at twice on a path.
+    lows_.reserve(2 * size());
+    ends_.reserve(size());
+    for (std::vector<Part>* each : {&parts_, &further_}) each->reserve(2 * near);
+    met_.reserve(near);
+    row_pairs_.reserve(kUsualRows);
+    for (Vector* each : {&overlaps_, &touching_}) each->reserve(near);
+    if (!yielding.is_empty()) touching_rows_.reserve(near * nv);
+    for (Vector* each : {&turned_, &moved_, &own_row_}) each->reserve(nv);
+    for (Vector* each : {&q_, &reached_}) each->reserve(static_cast<size_t>(tree_.nq));
+    moved_sums_.reserve(so_far_.size());
+    expansion_.reserve();
+  }
+
   size_t size() const { return bounds_->pairs.size(); }
 
   // Rows of the pairs that may come to their margin in the next displacement, where the robot is.
@@ -778,7 +799,7 @@ class Pairs {
     const Body &a = bodies[pair(k).first], &b = bodies[pair(k).second];
     ++queries;
     return measure(a.shape, at.pose(a.joint) * a.placement, b.shape,
-                   at.pose(b.joint) * b.placement, warm_[k]);
+                   at.pose(b.joint) * b.placement, warm_[k], expansion_);
   }
 
   // See collision.CollisionLimit._meetings.
@@ -886,8 +907,10 @@ class Pairs {
         if (!is_second_shown) further_.push_back(second);
       }
       if (has_met()) return false;
-      std::stable_sort(further_.begin(), further_.end(),
-                       [](const Part& a, const Part& b) { return a.low < b.low; });
+      // Of parts of one interval, pairs are in their order, as they were visited.
+      std::sort(further_.begin(), further_.end(), [](const Part& a, const Part& b) {
+        return a.low != b.low ? a.low < b.low : a.pair < b.pair;
+      });
       std::swap(parts_, further_);
     }
     return true;
@@ -921,6 +944,7 @@ class Pairs {
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<int> row_pairs_;
   std::vector<Warm> warm_;
+  Expansion expansion_;
   std::vector<Low<JointBox>> box_lows_;
   std::vector<Low<Body>> lows_;
   std::vector<std::pair<size_t, Found>> ends_;

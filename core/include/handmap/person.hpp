@@ -28,7 +28,7 @@ inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count)
 class Layer {
  public:
   Pose fit(const Vec3* points, const std::vector<Vec3>& onto, const Vector& weights) {
-    return rigid_fit(points, onto, weights, [this](const Mat3& A) { return rotation(A); });
+    return rigid_fit(points, onto.data(), weights, [this](const Mat3& A) { return rotation(A); });
   }
 
  private:

@@ -232,11 +232,11 @@ inline void approach(Ik& ik, const AimedDistances& aimed, const Vector& rest, do
   placed.place(ik.motion.q.data());
   Goal goal;
   goal.wrists = {placed.wrist()};
-  goal.distances = {aimed};
+  goal.distances.add() = aimed;
   for (const Attached& point : ik.tree.points) goal.points.push_back(placed.point(point));
   Result result;
   for (int k = 0; k < samples; ++k) {
-    goal.postures = ik.postures(rest, dt);
+    ik.set_postures(rest, dt, goal.postures);
     ik.solve(goal, When::after(dt), {}, 1.0, result);
     placed.place(ik.motion.q.data());
     if (is_reached(aimed, placed, tolerance)) return;
@@ -292,7 +292,8 @@ class SmallestDistances {
                &b = bounds_.bodies[bounds_.pairs[k].second];
     const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
     Warm warm{};
-    const Found found = handmap::measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement, warm);
+    const Found found = handmap::measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement,
+                                         warm, expansion_);
     partings_[k] = tmul(to_a.R, found.normal);
     return found.distance;
   }
@@ -301,6 +302,7 @@ class SmallestDistances {
   std::vector<Vec3> partings_;  // from the first body to the second, in the axes of the first one's joint
   std::vector<Vec3> centres_;
   std::vector<std::pair<double, size_t>> order_;
+  Expansion expansion_;
   const Placed* at_ = nullptr;
 };
 

@@ -66,6 +66,16 @@ class Qp {
     return false;
   }
 
+  // Make room for problems of up to so many coordinates and rows.
+  void reserve(size_t n, size_t rows) {
+    for (std::vector<double>* each : {&x, &free_minimum_, &inverse_, &d_, &w_, &v_, &r_, &multipliers_})
+      each->reserve(n);
+    for (std::vector<double>* each : {&L_, &Q_, &R_}) each->reserve(n * n);
+    active_.reserve(n);
+    is_active_.reserve(2 * n + rows);
+    row_norms_.reserve(rows);
+  }
+
   // The constraints that hold the minimum: i for the lower bound of coordinate i, n + i for the upper one,
   // 2 n + r for row r.
   const std::vector<int>& active() const { return active_; }

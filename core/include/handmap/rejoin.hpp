@@ -18,9 +18,19 @@ inline double minimum_jerk(double share) {
   return share * share * share * (10.0 + share * (6.0 * share - 15.0));
 }
 
-// What is added to samples while a robot comes back: `Place::to`, from what the tracker said at the
+// What is added to samples while a robot comes back: in wrist axes, from what the tracker said at the
 // return to what was seen last. The palm's translation and turn are the last two.
 using Offset = std::vector<Vec3>;
+
+// Write the offset from the pose at a return to the one that was seen last.
+inline void find_offset(const HumanPose& pose, const HumanPose& seen, Offset& to) {
+  const size_t count = pose.points.size();
+  const Pose here = pose.origin(), there = seen.origin();
+  to.resize(count + 2);
+  for (size_t i = 0; i < count; ++i) to[i] = seen.in_wrist(i) - pose.in_wrist(i);
+  to[count] = there.p - here.p;
+  to[count + 1] = log3(transposed(here.R) * there.R);
+}
 
 // Time in which an offset fades after a loss of the hand [s].
 inline double fading_time(const Offset& offset, bool palm_fades, double lost) {
@@ -33,12 +43,17 @@ inline double fading_time(const Offset& offset, bool palm_fades, double lost) {
   return std::max(kShortestFading, std::min(lost, kMinimumJerkPeak * longest));
 }
 
-// A pose with the part of an offset that is left; the palm's part stays whole where it does not fade.
-inline HumanPose with_offset(const HumanPose& pose, const Offset& offset, double left, bool palm_fades) {
-  Offset now = offset;
-  for (size_t i = 0; i < now.size(); ++i)
-    if (palm_fades || i + 2 < now.size()) now[i] = left * now[i];
-  return Place::of(pose).moved(now).pose();
+// Move a pose by the part of an offset that is left; the palm's part stays whole where it does not fade.
+inline void add_offset(const Offset& offset, double left, bool palm_fades, HumanPose& pose) {
+  const size_t palm = offset.size() - 2, turn = offset.size() - 1;
+  const double palm_left = palm_fades ? left : 1.0;
+  const Pose moved{pose.wrist.R * exp3(palm_left * offset[turn]),
+                   pose.wrist.p + palm_left * offset[palm]};
+  for (size_t i = 0; i < palm; ++i) {
+    const Vec3 point = pose.in_wrist(i) + left * offset[i];
+    pose.points[i] = pose.has_wrist ? moved * point : point;
+  }
+  if (pose.has_wrist) pose.wrist = moved;
 }
 
 // State of the return after a sample.
@@ -60,18 +75,28 @@ struct Rejoin {
     if (is_fading() && lost < HUGE_VAL) return;
     has_offset = has_seen && seen.has_wrist == pose.has_wrist;
     if (!has_offset) return;
-    offset = Place::of(pose).to(Place::of(seen));
+    find_offset(pose, seen, offset);
     duration = fading_time(offset, palm_fades, lost);
     elapsed = 0.0;
   }
 
-  // The pose to map for that of the tracker, `dt` after the one before [s].
-  HumanPose advance(HumanPose&& pose, double dt) {
-    if (!has_offset) return std::move(pose);
+  // Make the tracker's pose, `dt` after the one before [s], the one to map.
+  void advance(HumanPose& pose, double dt) {
+    if (!has_offset) return;
     const double left = 1.0 - minimum_jerk(elapsed / duration);
     elapsed += dt;
     has_offset = left > 0.0 || !palm_fades;
-    return with_offset(pose, offset, left, palm_fades);
+    add_offset(offset, left, palm_fades, pose);
+  }
+  // Make room for poses of so many points.
+  void reserve(size_t points) {
+    seen.points.reserve(points);
+    offset.reserve(points + 2);
+  }
+  // Forget what was seen.
+  void restart() {
+    has_seen = has_offset = false;
+    duration = elapsed = 0.0;
   }
 };
 

@@ -35,6 +35,7 @@ struct Run {
   Step step{};
   bool has_seen = false;
   HumanPose seen{};  // the last one that was mapped
+  HumanPose pose{};  // of the sample
   Goal goal{};
 
   // Map a sample into a row; false for one that Python has to look at.
@@ -69,8 +70,8 @@ struct Run {
       hold(ik, when, step);
       return;
     }
-    HumanPose pose =
-        smoother.smooth(reader.read(sample.landmarks, wrist ? &*wrist : nullptr), dt);
+    reader.read(sample.landmarks, wrist ? &*wrist : nullptr, pose);
+    smoother.smooth(pose, dt);
     const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
     try {
       follow(ik, map, pose, when, speed, goal, step);
@@ -78,7 +79,7 @@ struct Run {
       smoother.forget();
       throw;
     }
-    seen = std::move(pose);
+    seen = pose;
     has_seen = true;
   }
 

@@ -203,9 +203,17 @@ class Difference {
   const Pose to_a_;
 };
 
-// Depth of two shapes that overlap: the face of a - b that is nearest to the origin.
+// Depth of two shapes that overlap: the face of a - b that is nearest to the origin. It keeps its memory
+// for the next two.
 class Expansion {
  public:
+  // Make room for shapes of links, which need a quarter of it.
+  void reserve() {
+    vertices_.reserve(64);
+    faces_.reserve(512);
+    rim_.reserve(64);
+  }
+
   // Return whether a face was found: depth, outward normal, and the first shape's point.
   bool run(const Difference& both, const Simplex& start, double& depth, Vec3& normal, Vec3& point) {
     vertices_.clear();
@@ -367,7 +375,7 @@ inline bool find_nearest(const Shape& shape, const Vec3& to, Vec3& nearest) {
 
 // Measure the signed distance of two shapes.
 inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const Pose& pose_b,
-                     Warm& warm) {
+                     Warm& warm, Expansion& expansion) {
   constexpr int kMost = 200;
   const Pose b_in_a = inverse(pose_a) * pose_b;
   const double radii = a.radius + b.radius;
@@ -438,11 +446,15 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
     normal = (-1.0 / length) * v;
     for (int i = 0; i < simplex.count; ++i) point += simplex.shares[i] * simplex.points[i].a;
   } else {
-    static thread_local Expansion expansion;
     double depth = 0.0;
     if (expansion.run(both, simplex, depth, normal, point)) distance = -depth;
   }
   return found(distance, normal, point);
+}
+inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const Pose& pose_b,
+                     Warm& warm) {
+  Expansion expansion;
+  return measure(a, pose_a, b, pose_b, warm, expansion);
 }
 
 }  // namespace handmap

@@ -42,32 +42,38 @@ struct Place {
   Mat3 rotation;
   bool has_wrist = false;
 
-  static Place of(const HumanPose& pose) {
-    Place place{pose.in_wrist(), {}, pose.has_wrist};
-    place.points.push_back(pose.has_wrist ? pose.wrist.p : Vec3{});
-    if (pose.has_wrist) place.rotation = pose.wrist.R;
-    return place;
+  void set(const HumanPose& pose) {
+    const size_t count = pose.points.size();
+    const Pose origin = pose.origin();
+    points.resize(count + 1);
+    for (size_t i = 0; i < count; ++i) points[i] = pose.in_wrist(i);
+    points[count] = origin.p;
+    rotation = origin.R;
+    has_wrist = pose.has_wrist;
   }
-  HumanPose pose() const {
-    HumanPose found{points, has_wrist, {}};
-    found.points.pop_back();
-    if (!has_wrist) return found;
-    found.wrist = {rotation, points.back()};
-    for (Vec3& point : found.points) point = found.wrist * point;
-    return found;
+  void clear() {
+    points.clear();
+    rotation = {};
+    has_wrist = false;
   }
-  // The way to another place; turns in own axes are the last.
-  std::vector<Vec3> to(const Place& other) const {
-    std::vector<Vec3> way;
-    way.reserve(points.size() + 1);
-    for (size_t i = 0; i < points.size(); ++i) way.push_back(other.points[i] - points[i]);
-    way.push_back(log3(transposed(rotation) * other.rotation));
-    return way;
+  // Write the pose of the hand.
+  void write(HumanPose& to) const {
+    const size_t count = points.size() - 1;
+    to.has_wrist = has_wrist;
+    to.wrist = has_wrist ? Pose{rotation, points[count]} : Pose{};
+    to.points.resize(count);
+    for (size_t i = 0; i < count; ++i) to.points[i] = has_wrist ? to.wrist * points[i] : points[i];
   }
-  Place moved(const std::vector<Vec3>& way) const {
-    Place found{points, rotation * exp3(way.back()), has_wrist};
-    for (size_t i = 0; i < points.size(); ++i) found.points[i] = points[i] + way[i];
-    return found;
+  // Write the way to another place; turns in own axes are the last.
+  void to(const Place& other, std::vector<Vec3>& way) const {
+    const size_t count = points.size();
+    way.resize(count + 1);
+    for (size_t i = 0; i < count; ++i) way[i] = other.points[i] - points[i];
+    way[count] = log3(transposed(rotation) * other.rotation);
+  }
+  void move(const std::vector<Vec3>& way) {
+    rotation = rotation * exp3(way.back());
+    for (size_t i = 0; i < points.size(); ++i) points[i] += way[i];
   }
 };
 
@@ -83,6 +89,16 @@ struct SmoothState {
   std::vector<Vec3> moving;  // velocity of the sample's points [m/s]
   std::vector<Vec3> speeds;  // smoothed velocities, as of `Place::to` [m/s, rad/s]
   Vector recent;             // largest recent speeds, of the turn at a lever [m/s]
+
+  // Forget all but the noise.
+  void restart() {
+    waited = dt = 0.0;
+    seen.clear();
+    for (Place& stage : stages) stage.clear();
+    moving.clear();
+    speeds.clear();
+    recent.clear();
+  }
 };
 
 class Smoother {
@@ -90,11 +106,12 @@ class Smoother {
   std::optional<Smoothing> options;  // none: samples pass as they are
   SmoothState state{}, former{};
 
-  // Smooth the next sample, `dt` after the last call [s]; one that repeats is the same one.
-  HumanPose smooth(HumanPose&& pose, double dt) {
-    if (!options) return std::move(pose);
+  // Smooth the next sample in place, `dt` after the last call [s]; one that repeats is the same one.
+  void smooth(HumanPose& pose, double dt) {
+    if (!options) return;
     former = state;
-    Place seen = Place::of(pose);
+    Place& seen = seen_;
+    seen.set(pose);
     dt += state.waited;
     state.waited = 0.0;
     if (state.seen.points.size() != seen.points.size() || dt > kLongestGap ||
@@ -105,21 +122,22 @@ class Smoother {
     } else {
       follow(seen, dt);
     }
-    state.seen = std::move(seen);
-    return state.stages[kStages - 1].pose();
+    std::swap(state.seen, seen);
+    state.stages[kStages - 1].write(pose);
   }
   // Let time pass without a sample [s].
   void wait(double dt) { state.waited += dt; }
   // Let the next sample pass as it is, and go on from there with the noise that is known.
-  void restart() {
-    const double noise = state.noise;
-    state = SmoothState();
-    state.noise = noise;
-  }
+  void restart() { state.restart(); }
   // Forget the sample that was smoothed last.
   void forget() { state = former; }
 
  private:
+  // Memory that is used again for each sample: the sample, and what `follow` and `filter` work with.
+  Place seen_, at_;
+  std::vector<Vec3> ahead_, way_, part_;
+  Vector alpha_, changes_;
+
   bool is_same(const Place& seen) const {
     for (size_t i = 0; i < seen.points.size(); ++i) {
       const Vec3 &a = state.seen.points[i], &b = seen.points[i];
@@ -139,7 +157,8 @@ class Smoother {
 
   void follow(const Place& seen, double dt) {
     const size_t n = state.moving.size();
-    Vector changes(n);
+    Vector& changes = changes_;
+    changes.resize(n);
     for (size_t i = 0; i < n; ++i) {
       const Vec3 d = seen.points[i] - state.seen.points[i];
       const Vec3 moving{d.x / dt, d.y / dt, d.z / dt};
@@ -161,11 +180,16 @@ class Smoother {
     const double kept = std::exp(-dt / kSpeedMemory);
     std::vector<Vec3>& speeds = state.speeds;
     const size_t n = speeds.size();
-    std::vector<Vec3> ahead(n), part(n);
+    std::vector<Vec3>&ahead = ahead_, &way = way_, &part = part_;
+    Vector& alpha = alpha_;
+    Place& at = at_;
+    ahead.resize(n);
+    part.resize(n);
+    alpha.resize(n);
     for (size_t i = 0; i < n; ++i) ahead[i] = dt * speeds[i];
-    Place at = state.stages[0].moved(ahead);
-    const std::vector<Vec3> way = at.to(seen);
-    Vector alpha(n);
+    at = state.stages[0];
+    at.move(ahead);
+    at.to(seen, way);
     for (size_t i = 0; i < n; ++i) {
       const double lever = i + 1 < n ? 1.0 : kHandLever;
       double& recent = state.recent[i];
@@ -181,12 +205,15 @@ class Smoother {
       part[i] = alpha[i] * way[i];
       ahead[i] = 2.0 * left / alpha[i] * dt * speeds[i];
     }
-    state.stages[0] = at.moved(part);
-    at = state.stages[0].moved(ahead);
+    at.move(part);
+    state.stages[0] = at;
+    at.move(ahead);
     for (int k = 1; k < kStages; ++k) {
-      part = state.stages[k].to(at);
+      Place& stage = state.stages[k];
+      stage.to(at, part);
       for (size_t i = 0; i < n; ++i) part[i] = alpha[i] * part[i];
-      state.stages[k] = at = state.stages[k].moved(part);
+      stage.move(part);
+      at = stage;
     }
   }
 };

@@ -47,11 +47,11 @@ struct HumanPose {
   bool has_wrist = false;
   Pose wrist;
 
-  std::vector<Vec3> in_wrist() const {
-    std::vector<Vec3> inside = points;
-    if (has_wrist)
-      for (Vec3& point : inside) point = tmul(wrist.R, point - wrist.p);
-    return inside;
+  // The wrist, or the origin of the world where there is none.
+  Pose origin() const { return has_wrist ? wrist : Pose{}; }
+  // A point seen from there.
+  Vec3 in_wrist(size_t i) const {
+    return has_wrist ? tmul(wrist.R, points[i] - wrist.p) : points[i];
   }
 };
 
@@ -63,23 +63,27 @@ class LandmarkReader {
   // Number of the points that it reads.
   size_t size() const { return model_.used.size(); }
 
-  // Without a wrist, it is fitted to the palm.
+  // Write a sample's pose. Without a wrist, it is fitted to the palm.
+  void read(const double* landmarks, const Pose* wrist, HumanPose& to) const {
+    to.points.resize(size());
+    for (size_t k = 0; k < size(); ++k) to.points[k] = point(landmarks, model_.used[k]);
+    to.has_wrist = true;
+    to.wrist = wrist ? *wrist : fitted_wrist(landmarks);
+  }
   HumanPose read(const double* landmarks, const Pose* wrist) const {
-    HumanPose pose{{}, true, {}};
-    pose.points.reserve(size());
-    for (const int i : model_.used) pose.points.push_back(point(landmarks, i));
-    if (wrist) {
-      pose.wrist = *wrist;
-    } else {
-      std::vector<Vec3> seen;
-      for (const int i : kPalm) seen.push_back(point(landmarks, i));
-      pose.wrist = rigid_fit(model_.palm.data(), seen, model_.weights, nearest_rotation);
-    }
+    HumanPose pose;
+    read(landmarks, wrist, pose);
     return pose;
   }
 
  private:
   const LandmarkReaderModel model_;
+
+  Pose fitted_wrist(const double* landmarks) const {
+    Vec3 seen[std::size(kPalm)];
+    for (size_t k = 0; k < std::size(kPalm); ++k) seen[k] = point(landmarks, kPalm[k]);
+    return rigid_fit(model_.palm.data(), seen, model_.weights, nearest_rotation);
+  }
 
   static Vec3 point(const double* landmarks, int i) {
     return {landmarks[3 * i], landmarks[3 * i + 1], landmarks[3 * i + 2]};
@@ -106,13 +110,18 @@ class JointReader {
     return std::isnan(q) ? q : std::max({tree_.lower[j] - q, q - tree_.upper[j], 0.0});
   }
 
-  // Points move with the wrist, which the tree has at its origin.
-  HumanPose read(const double* q, const Pose& wrist) {
+  // Write the pose of joint angles. Points move with the wrist, which the tree has at its origin.
+  void read(const double* q, const Pose& wrist, HumanPose& to) {
     tree_.set_joints(q, vector_);
     at_.place(vector_.data());
-    HumanPose pose{{}, true, wrist};
-    pose.points.reserve(tree_.points.size());
-    for (const Attached& attached : tree_.points) pose.points.push_back(wrist * at_.point(attached));
+    to.points.resize(tree_.points.size());
+    for (size_t k = 0; k < to.points.size(); ++k) to.points[k] = wrist * at_.point(tree_.points[k]);
+    to.has_wrist = true;
+    to.wrist = wrist;
+  }
+  HumanPose read(const double* q, const Pose& wrist) {
+    HumanPose pose;
+    read(q, wrist, pose);
     return pose;
   }
 
@@ -146,13 +155,14 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const Wh
     throw std::invalid_argument("the map is of another hand");
   goal.points = targets.points;
   goal.wrists = {targets.wrist};
-  goal.postures = ik.postures(targets.rest, ik.motion.next(when).granted);
+  ik.set_postures(targets.rest, ik.motion.next(when).granted, goal.postures);
   if (targets.regularisation)
     goal.regularise(*targets.regularisation);
   else
     goal.damping_shares.clear();
   goal.distances.clear();
-  if (targets.distances) goal.distances.push_back({targets.distances, targets.aims, targets.weights});
+  if (targets.distances)
+    goal.distances.add().set(*targets.distances, targets.aims, targets.weights);
   seek(ik, goal, when, targets.margins, speed, step.result);
   targets.points = step.result.targets;
   finish(ik, step);

@@ -80,24 +80,24 @@ inline Mat3 nearest_rotation(const Mat3& A) {
 // The pose that best lays points onto others by their weights; see se3.rigid_fit. `nearest` finds the
 // rotation nearest to their covariance.
 template <class Nearest>
-Pose rigid_fit(const Vec3* points, const std::vector<Vec3>& onto, const Vector& weights,
-               Nearest&& nearest) {
+Pose rigid_fit(const Vec3* points, const Vec3* onto, const Vector& weights, Nearest&& nearest) {
+  const size_t count = weights.size();
   double sum = 0.0;
   for (const double weight : weights) sum += weight;
   Vec3 centre, centre_onto;
-  for (size_t k = 0; k < onto.size(); ++k) {
+  for (size_t k = 0; k < count; ++k) {
     centre += (weights[k] / sum) * points[k];
     centre_onto += (weights[k] / sum) * onto[k];
   }
   Mat3 covariance = 0.0 * Mat3{};
-  for (size_t k = 0; k < onto.size(); ++k)
+  for (size_t k = 0; k < count; ++k)
     covariance =
         covariance + outer((weights[k] / sum) * (onto[k] - centre_onto), points[k] - centre);
   const Mat3 R = nearest(covariance);
   return {R, centre_onto - R * centre};
 }
 inline Pose rigid_fit(const std::vector<Vec3>& points, const std::vector<Vec3>& onto) {
-  return rigid_fit(points.data(), onto, Vector(onto.size(), 1.0), nearest_rotation);
+  return rigid_fit(points.data(), onto.data(), Vector(onto.size(), 1.0), nearest_rotation);
 }
 
 // See estimation.MotionEstimator: what a sample's points are multiplied with.
@@ -182,6 +182,14 @@ struct Targets {
   // Share of the weights of the rest term and of the damping, of each joint; null for all of both.
   const Vector* regularisation = nullptr;
   bool is_clamped = false;
+
+  // Memory that a map works in: maps are shared by threads, and targets are one thread's.
+  struct Work {
+    std::vector<Vec3> now;       // the person's points in palm axes
+    std::vector<Vec3> shape;     // those of them that the shape is estimated from
+    std::vector<Vec3> residual;  // what the imposed motion leaves of the points
+    Vector extensions, gaps, pinching, shares;
+  } work;
 };
 
 // The distances of a model.
@@ -288,14 +296,18 @@ class TeleoperationMap : public TargetMap {
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Targets& targets) const override {
     const TeleoperationModel& of = model_;
     const Pose human = *wrist * palm_.human_wrist_to_palm, to_palm = inverse(human);
-    std::vector<Vec3> now(points.size()), shape(of.shape_points.size());
+    auto& [now, shape, residual, extensions, gaps, pinching, shares] = targets.work;
+    now.resize(points.size());
+    shape.resize(of.shape_points.size());
     for (size_t k = 0; k < points.size(); ++k) now[k] = to_palm * points[k];
     const Pose palm = palm_.follow(human);
     for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[of.shape_points[k]];
     const Estimator::Estimate estimate = estimator.estimate(shape.data(), nullptr);
     const size_t rows = of.from_points.size(), fingers = of.human_reach.size();
     const size_t pinches = rows - fingers;
-    Vector extensions(fingers), gaps(pinches), pinching(pinches);
+    extensions.resize(fingers);
+    gaps.resize(pinches);
+    pinching.resize(pinches);
     targets.distances = &distances_;
     targets.regularisation = &of.regularisation;
     targets.aims.resize(rows);
@@ -314,7 +326,7 @@ class TeleoperationMap : public TargetMap {
         targets.weights[k] = of.pinch_weight * pinching[p];
       }
     }
-    rest_for(gaps, targets.rest);
+    rest_for(gaps, shares, targets.rest);
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
     for (const double share : pinching) most = std::max(most, share);
@@ -419,10 +431,10 @@ class TeleoperationMap : public TargetMap {
 
   // As a pinch closes, the rest posture becomes the one that closes it, so that thumb and finger come
   // to each other by the same way from anywhere.
-  void rest_for(const Vector& gaps, Vector& found) const {
+  void rest_for(const Vector& gaps, Vector& shares, Vector& found) const {
     const TeleoperationModel& of = model_;
     found = of.rest;
-    Vector shares(gaps.size());
+    shares.resize(gaps.size());
     double total = 0.0;
     for (size_t p = 0; p < gaps.size(); ++p) {
       shares[p] = smoothstep((of.rest_from - gaps[p]) / of.rest_over);
@@ -499,7 +511,8 @@ class HomogeneousMap : public TargetMap {
     if (!model_.share.data.empty()) {
       // The residual refers to the imposed motion, so it makes up for clamping and gain.
       const size_t count = points.size();
-      std::vector<Vec3> residual(count);
+      std::vector<Vec3>& residual = targets.work.residual;
+      residual.resize(count);
       for (size_t k = 0; k < count; ++k)
         residual[k] = points[k] - (linear * model_.human_offsets[k] + image);
       for (size_t j = 0; j < targets.points.size(); ++j) {

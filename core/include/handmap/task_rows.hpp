@@ -27,8 +27,14 @@ struct DistanceTask {
 
 // A task with its aims in one sample.
 struct AimedDistances {
-  const DistanceTask* task;
+  const DistanceTask* task = nullptr;
   Vector aims, weights;
+
+  void set(const DistanceTask& of, const Vector& aimed, const Vector& weighted) {
+    task = &of;
+    aims = aimed;
+    weights = weighted;
+  }
 };
 
 // Where a point of one hand should be from that of another; see tasks.PointOffset.
@@ -115,6 +121,7 @@ class TaskBlock {
   void start(const Tree& tree, int a, int b) {
     rows.resize(4 * tree.size);
     damping.resize(tree.size);
+    for (std::vector<int>* each : {&columns, &movers_}) each->reserve(tree.size);
     columns.clear();
     for (std::vector<Vec3>* each : {&levers_, &turns_}) {
       clear_levers(tree, a, *each);

@@ -39,6 +39,8 @@ constexpr double kSteadyAxes = 0.9781476007338057;
 constexpr double kTurned = 0.20943951023931956, kKeptShare = 0.4;
 // Of the wrist's landmark from the pose [m].
 constexpr double kFarthestApart = 0.10;
+// Samples of a batch, at most.
+constexpr int kMostSamples = 32;
 
 inline double cosine(const Mat3& a, const Mat3& b) {
   double sum = 0.0;
@@ -69,13 +71,14 @@ struct MeanRelative {
   }
 };
 
-inline MeanRelative mean_relative(const std::vector<Mat3>& palms, const std::vector<Mat3>& wrists) {
-  const size_t n = palms.size();
+// Of the rotations of palms, and those that `read` makes of the wrists'.
+template <class Read>
+MeanRelative mean_relative(const Mat3* palms, const Mat3* wrists, int n, const Read& read) {
   // Noise of the landmarks cancels in the means.
   Mat3 halves[2] = {0.0 * Mat3{}, 0.0 * Mat3{}};
-  for (size_t t = 0; t < n; ++t) {
+  for (int t = 0; t < n; ++t) {
     Mat3& half = halves[t < n / 2 ? 0 : 1];
-    half = half + transposed(palms[t]) * wrists[t];
+    half = half + transposed(palms[t]) * read(wrists[t]);
   }
   const Mat3 mean = nearest_rotation(halves[0] + halves[1]);
   // Both halves of a single sample are that sample.
@@ -84,11 +87,9 @@ inline MeanRelative mean_relative(const std::vector<Mat3>& palms, const std::vec
 }
 
 // The usual mistake of a reader that explains the rotations; none if none does.
-inline Mistake usual_mistake(const std::vector<Mat3>& palms, const std::vector<Mat3>& wrists) {
-  std::vector<Mat3> others(wrists.size());
+inline Mistake usual_mistake(const Mat3* palms, const Mat3* wrists, int n) {
   const auto explains = [&](const auto& read) {
-    std::transform(wrists.begin(), wrists.end(), others.begin(), read);
-    const MeanRelative found = mean_relative(palms, others);
+    const MeanRelative found = mean_relative(palms, wrists, n, read);
     return found.is_steady() && found.is_known();
   };
   // A layout may have turned the wrist's axes to ours afterwards.
@@ -116,13 +117,14 @@ struct WristCheck {
   bool has_start = false;
   Mat3 start_palm, start_mean;
 
-  // Compare wrist poses with the palm that the landmarks show. The rotation from one to the other must
-  // be that of a known tracker, or at least be the same in all samples since the start.
+  // Compare up to `kMostSamples` wrist poses with the palm that the landmarks show. The rotation from
+  // one to the other must be that of a known tracker, or at least be the same in all samples since the
+  // start.
   Finding examine(double sign, const Landmarks* hands, const Pose* wrists, int n) {
     const bool was_proven = is_proven;
     is_proven = false;
-    Vector apart(n);
-    std::vector<Mat3> palms(n), rotations(n);
+    double apart[kMostSamples];
+    Mat3 palms[kMostSamples], rotations[kMostSamples];
     Mat3 sum = 0.0 * Mat3{};
     for (int t = 0; t < n; ++t) {
       apart[t] = norm(wrists[t].p - hands[t][0]);
@@ -130,16 +132,17 @@ struct WristCheck {
       rotations[t] = wrists[t].R;
       sum = sum + palms[t];
     }
-    const double away = upper_median(apart.data(), apart.size());
+    const double away = upper_median(apart, n);
     if (away > kFarthestApart) return {Mistake::wrist_away, away};
-    const MeanRelative now = mean_relative(palms, rotations);
+    const auto as_it_is = [](const Mat3& wrist) -> const Mat3& { return wrist; };
+    const MeanRelative now = mean_relative(palms, rotations, n, as_it_is);
     const Mat3 palm = nearest_rotation(sum);
     const Mat3 first_palm = has_start ? start_palm : palm;
     const Mat3 first_mean = has_start ? start_mean : now.mean;
     const double kept = cosine(now.mean, first_mean);
     const bool is_steady = now.is_steady() && kept > kSteadyAxes;
     if (!(is_steady && now.is_known())) {
-      const Mistake usual = usual_mistake(palms, rotations);
+      const Mistake usual = usual_mistake(palms, rotations, n);
       if (usual != Mistake::none) return {usual};
     }
     if (!is_steady) return {Mistake::wrist_loose};
