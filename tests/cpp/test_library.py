@@ -27,7 +27,6 @@ from library_in_c import (
     Options,
     Sample,
     built_examples,
-    installed_library,
     loaded,
     run,
 )
@@ -48,34 +47,13 @@ _Numbers = ctypes.POINTER(ctypes.c_double)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("library")
-
-
-@pytest.fixture(scope="module")
-def prefix(folder: Path) -> Path:
-    return installed_library(folder)
-
-
-@pytest.fixture(scope="module")
-def programs(prefix: Path, folder: Path) -> Path:
-    return built_examples(prefix, folder)
+def programs(prefix: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built_examples(prefix, tmp_path_factory.mktemp("examples"))
 
 
 @pytest.fixture(scope="module")
 def library(prefix: Path) -> ctypes.CDLL:
     return loaded(prefix)
-
-
-@pytest.fixture(scope="module")
-def mapper() -> HandMapper:
-    """Return the demo's person with a hand that keeps its links apart."""
-    return mapper_of("allegro_right", "teleoperation")
-
-
-@pytest.fixture(scope="module")
-def saved(mapper: HandMapper) -> bytes:
-    return saved_bytes(mapper)
 
 
 class Follows:
