@@ -22,6 +22,7 @@ from pyproject_hooks import BuildBackendHookCaller
 ROOT = Path(__file__).parents[2]
 CORE = ROOT / "core"
 UNITS = sorted((CORE / "src").glob("*.cpp"))
+LIBRARY = CORE / "library" / "handmap.cpp"
 NANOBIND = Path(nanobind.include_dir())
 
 
@@ -33,15 +34,16 @@ def check_syntax(compiler: str, unit: Path) -> subprocess.CompletedProcess[str]:
         Path(sysconfig.get_path("include")),
     )
     words = [compiler, "-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
-    words += ["-fvisibility=hidden"]
+    words += ["-fvisibility=hidden", "-Wpedantic"]
     words += [f"-I{CORE / 'include'}", *(f"-isystem{folder}" for folder in headers)]
-    words += ["-DNB_DOMAIN=handmap_core", '-DHANDMAP_SOURCES="none"', str(unit)]
+    words += ["-DNB_DOMAIN=handmap_core", '-DHANDMAP_SOURCES="none"']
+    words += ['-DHANDMAP_VERSION="0.0.0"', str(unit)]
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.slow
 @pytest.mark.full
-@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+@pytest.mark.parametrize("unit", [*UNITS, LIBRARY], ids=lambda unit: unit.stem)
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_each_compiler_takes_each_part_without_a_warning(
     compiler: str, unit: Path

@@ -14,6 +14,8 @@ import handmap_qp
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = sorted(file.parent for file in (ROOT / "packages").glob("*/pyproject.toml"))
+# Those without Python.
+OTHERS = {ROOT / "packages" / "ros2_cpp"}
 # What a user reads: a module that is named here is public.
 PAGES = [
     *(ROOT / "docs").rglob("*.md"),
@@ -48,7 +50,8 @@ def imports() -> tuple[list[str], list[str]]:
 
 def test_all_packages_are_found() -> None:
     folders = {file for file in (ROOT / "packages").iterdir() if file.is_dir()}
-    assert {*PACKAGES} == folders
+    assert {*PACKAGES} | OTHERS == folders
+    assert not {*PACKAGES} & OTHERS
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
@@ -68,6 +71,7 @@ def test_other_files_have_the_version_of_the_library() -> None:
         "pyproject.toml": f'version = "{version}"',
         "CITATION.cff": f"version: {version}",
         "packages/ros2/package.xml": f"<version>{version}</version>",
+        "packages/ros2_cpp/package.xml": f"<version>{version}</version>",
     }.items():
         assert f"{expected}\n" in (ROOT / name).read_text("utf-8"), name
 

@@ -47,24 +47,13 @@ _Numbers = ctypes.POINTER(ctypes.c_double)
 
 
 @pytest.fixture(scope="module")
-def programs(prefix: Path, folder: Path) -> Path:
-    return built_examples(prefix, folder)
+def programs(prefix: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built_examples(prefix, tmp_path_factory.mktemp("examples"))
 
 
 @pytest.fixture(scope="module")
 def library(prefix: Path) -> ctypes.CDLL:
     return loaded(prefix)
-
-
-@pytest.fixture(scope="module")
-def mapper() -> HandMapper:
-    """Return the demo's person with a hand that keeps its links apart."""
-    return mapper_of("allegro_right", "teleoperation")
-
-
-@pytest.fixture(scope="module")
-def saved(mapper: HandMapper) -> bytes:
-    return saved_bytes(mapper)
 
 
 class Follows:

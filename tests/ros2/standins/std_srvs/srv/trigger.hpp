@@ -1,0 +1,16 @@
+// Stand-in for ROS 2: the fields of std_srvs/srv/Trigger.
+#pragma once
+
+#include <string>
+
+namespace std_srvs::srv {
+
+struct Trigger {
+  struct Request {};
+  struct Response {
+    bool success = false;
+    std::string message;
+  };
+};
+
+}  // namespace std_srvs::srv
