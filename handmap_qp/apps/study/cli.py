@@ -16,7 +16,7 @@ from handmap_qp.output_files import check_output, replaced_file, replaced_path
 from .analysis import Difference, MappingResult, StudyResult, analyse
 from .comparison import Verdict, compare_orders
 from .pool import read_pool
-from .result_file import SCHEMA, StudyFile
+from .result_file import StudyFile, schema_text
 from .statistics import Interval
 
 _PICTURES = (".png", ".svg", ".pdf")
@@ -73,7 +73,7 @@ class Study:
             HandmapError: If a file cannot be used or written.
         """
         if self.schema:
-            print(SCHEMA.read_text(encoding="utf-8"), end="")
+            print(schema_text(), end="")
             return
         if self.picture:
             require_matplotlib()
