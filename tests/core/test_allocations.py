@@ -1,7 +1,7 @@
-"""Blocks of memory that a warm sample of Python takes from the heap: each may wait for other threads.
+"""Blocks of memory that a warm sample takes from the heap: each may wait for other threads.
 
-The library in C takes none: see tests/cpp/test_warm_samples.py. Here, it is memory for the objects that
-Python gets: what a step says, and the pose of the sample.
+The library in C takes none (tests/cpp/test_warm_samples.py). In Python, it is memory for what a
+step says, and for the pose of the sample.
 
 A library that is preloaded counts them. Small objects of Python do not count: they are in memory of
 its own. Nor do small arrays, whose memory numpy keeps.

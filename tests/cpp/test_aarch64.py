@@ -30,7 +30,10 @@ def test_an_emulated_aarch64_commands_the_same(
     # Static, so that the emulator needs no system of aarch64; -O1 takes less time to compile.
     words = ["-std=c++17", "-O1", "-static", "-ffp-contract=off"]
     words += ["-Wall", "-Wextra", "-Werror"]
-    words += [f"-I{ROOT / 'core' / 'include'}", f'-DHANDMAP_VERSION="{version("handmap-core")}"']
+    words += [
+        f"-I{ROOT / 'core' / 'include'}",
+        f'-DHANDMAP_VERSION="{version("handmap-core")}"',
+    ]
     sources = [ROOT / "core" / "library" / "handmap.cpp", EXAMPLES / "01_loop.cpp"]
     emulated = tmp_path / "01_loop"
     run(COMPILER, *words, *sources, "-o", emulated)

@@ -56,7 +56,9 @@ def test_commands_of_the_page_build_and_follow(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    lines = [line for line in done.stdout.splitlines() if re.match(r"\d\.\d+ s  ", line)]
+    lines = [
+        line for line in done.stdout.splitlines() if re.match(r"\d\.\d+ s  ", line)
+    ]
     # By CMake, and without it.
     assert len(lines) == 120
     assert lines[:60] == lines[60:]
@@ -65,6 +67,8 @@ def test_commands_of_the_page_build_and_follow(tmp_path: Path) -> None:
     first, last = (line.split(":")[1].split() for line in (lines[0], lines[59]))
     assert len(first) == 16
     assert max(abs(float(a) - float(b)) for a, b in zip(first, last, strict=True)) > 0.1
-    header, *rows = (home / "handmap_examples" / "commands.csv").read_text().splitlines()
+    header, *rows = (
+        (home / "handmap_examples" / "commands.csv").read_text().splitlines()
+    )
     assert header.startswith("time,rule,held,")
     assert len(rows) > 400

@@ -38,9 +38,7 @@ DT = 1.0 / 60.0
 
 
 def test_its_parameters_are_those_of_the_node_in_python() -> None:
-    declared = re.findall(
-        r'declare_parameter<std::string>\("(\w+)", "([^"]*)"\)', NODE
-    )
+    declared = re.findall(r'declare_parameter<std::string>\("(\w+)", "([^"]*)"\)', NODE)
     (loop,) = (
         node.iter
         for node in ast.walk(ast.parse(PYTHON_NODE.read_text("utf-8")))
@@ -60,7 +58,8 @@ def test_its_services_are_those_of_the_node_in_python() -> None:
 
 
 def test_the_package_names_what_it_includes() -> None:
-    needed = {tag.text for tag in ET.parse(PACKAGE / "package.xml").iter("depend")}
+    depends = ET.parse(PACKAGE / "package.xml").iter("depend")
+    needed = {tag.text or "" for tag in depends}
     cmake = (PACKAGE / "CMakeLists.txt").read_text("utf-8")
     text = "".join(file.read_text("utf-8") for file in (PACKAGE / "src").iterdir())
     included = {*re.findall(r"#include <(\w+)/", text)} - {"handmap"}
@@ -68,9 +67,7 @@ def test_the_package_names_what_it_includes() -> None:
     assert all(name in cmake for name in needed)
     # A stand-in has no name that no header of ROS has.
     headers = {*re.findall(r"#include <(\w+/[\w/.]+)>", text)}
-    assert all(
-        (STANDINS / name).is_file() for name in headers if "handmap" not in name
-    )
+    assert all((STANDINS / name).is_file() for name in headers if "handmap" not in name)
 
 
 @pytest.mark.slow
@@ -90,7 +87,9 @@ Drive = Callable[..., Answers]
 
 
 @pytest.fixture(scope="module")
-def drive(prefix: Path, saved: bytes, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+def drive(
+    prefix: Path, saved: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> Drive:
     """Return a function that drives a new node by lines, and returns its answers."""
     folder = tmp_path_factory.mktemp("node")
     hand, program = folder / "allegro.hand", folder / "drive_node"
@@ -133,14 +132,14 @@ def joints(answers: Answers) -> Array:
 
 
 @pytest.mark.slow
-def test_it_commands_as_the_follower_in_python(drive: Drive, mapper: HandMapper) -> None:
+def test_it_commands_as_the_follower_in_python(
+    drive: Drive, mapper: HandMapper
+) -> None:
     answers = drive(*(sample_at(i) for i in range(120)))
     follower = Follower(deepcopy(mapper))
     for i, answer in enumerate(answers):
-        sample = HumanSample(
-            stamped(DEMO.time[i]), "right", DEMO.landmarks[i], arrival=i * DT
-        )
-        step = follower.map_sample(sample, dt=DT)
+        sample = HumanSample(stamped(DEMO.time[i]), "right", DEMO.landmarks[i])
+        step = follower.map_sample(sample, dt=DT, arrival=i * DT)
         np.testing.assert_allclose(answer["q"], step.command.q, atol=1e-9)
         assert answer["q"] == answer["trajectory"] == answer["forward"]
         assert answer["dt"] == pytest.approx(DT, abs=1e-8)
@@ -176,7 +175,9 @@ def test_silence_brakes_and_holds_and_is_reported(drive: Drive) -> None:
     first = held[0]
     scale = first["dt"] / DT
     assert scale <= 3.0 + 1e-6
-    assert (np.abs(joints(held[:1])[0] - at) <= scale * np.abs(at - before) + 1e-9).all()
+    assert (
+        np.abs(joints(held[:1])[0] - at) <= scale * np.abs(at - before) + 1e-9
+    ).all()
     np.testing.assert_array_equal(joints(held[-50:]), joints(held[-1:] * 50))
     assert {answer["status"] for answer in held} <= {"released", "no landmarks come"}
 
