@@ -14,8 +14,8 @@ import handmap_qp
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = sorted(file.parent for file in (ROOT / "packages").glob("*/pyproject.toml"))
-# Those without Python.
-OTHERS = {ROOT / "packages" / "ros2_cpp"}
+# Those that are no packages of Python.
+OTHERS = {ROOT / "packages" / "handmap-js", ROOT / "packages" / "ros2_cpp"}
 # What a user reads: a module that is named here is public.
 PAGES = [
     *(ROOT / "docs").rglob("*.md"),
@@ -94,7 +94,7 @@ def test_all_folders_of_packages_that_are_named_exist() -> None:
     files = [*PAGES, *(ROOT / "handmap_qp").rglob("*.py")]
     files += [file for package in PACKAGES for file in package.rglob("*.py")]
     text = "\n".join(file.read_text("utf-8") for file in files)
-    named = {*re.findall(r"(?<![\w./])((?:packages|examples)/[a-z]\w*)", text)}
+    named = {*re.findall(r"(?<![\w./])((?:packages|examples)/[a-z][\w-]*)", text)}
     assert len(named) >= len(PACKAGES)
     for folder in named:
         assert (ROOT / folder).is_dir(), folder
