@@ -111,6 +111,8 @@ def test_every_command_loads_the_hand_that_it_names(
         return Hand(spec, **choices)
 
     monkeypatch.setattr(library, "Hand", load)
+    # Hands that this process has loaded already are not built again.
+    monkeypatch.setattr(library, "_named", library._named.__wrapped__)
     monkeypatch.chdir(tmp_path)
     assert main(LINES[command].format(name).split()) == 2
     assert capsys.readouterr().err.endswith(" the command asks for the hand\n")

@@ -444,7 +444,7 @@ def test_edit_of_an_mjcf_file_writes_nothing_before_it_saves(
     for _ in range(2):
         editor.HandsEdit(str(model)).run()
         assert [*tmp_path.iterdir()] == [model]
-    _, found, out = opened[-1]
+    _, found, out, *_ = opened[-1]
     write_hand(found, out)
     hand = load_hand(out)
     assert hand.spec.urdf == "scene.xml"

@@ -194,7 +194,8 @@ def test_wilson_covers_the_truth_if_people_are_alike() -> None:
         analyse(Pool(as_results(made_people(12, [SEED, 2, i], spread=0.0)), []))
         for i in range(STUDIES)
     ]
-    assert 0.917 <= _covers([one.mappings[0].success for one in results], 0.7) <= 0.985
+    # Of 60 trials, the counts near the ends of the interval are few: its true share is 0.93.
+    assert 0.9 <= _covers([one.mappings[0].success for one in results], 0.7) <= 0.985
 
 
 @pytest.mark.slow

@@ -392,7 +392,9 @@ class Gate : public Exclusive {
     }
     // All of what is wanted, shares of the first displacement, and none of it.
     constexpr size_t kCandidates = std::size(kShares) + 2;
-    const auto candidate = [&](size_t c, int i) {
+    // C++17 has no captures of structured bindings.
+    const auto candidate = [&, &least = least, &most = most, &clipped = clipped, &base = base](
+                               size_t c, int i) {
       if (c == 0) return clip(wanted[i], least[i], most[i]);
       if (c + 1 == kCandidates) return base[i];
       return base[i] + kShares[c - 1] * (clipped[i] - base[i]);

@@ -44,7 +44,7 @@ class Study:
         handmap study results/*.json
         handmap study results/*.json --picture study.png --csv trials.csv
         handmap study results/*.json --skip-bad --json
-        handmap study results/*.json --simulated score/tasks.json --score score/score.json
+        handmap study results/*.json --score score/score.json
 
     Attributes:
         files: One file for each person.
